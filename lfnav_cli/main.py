@@ -1,0 +1,71 @@
+"""The ``lfnav`` command: finds the subcommand's module, maps errors to one line and exit codes."""
+
+import importlib
+import sys
+
+import click
+
+from lfnav_cli import common
+
+# Subcommand -> its one line in ``lfnav --help``. The module of the same name is imported only when
+# the subcommand is used, so that the help text appears at once.
+COMMANDS = {
+    "reconstruct": "Camera poses of a data set: structure from motion, odometry, or given.",
+    "model": "A light-field scene model from a reconstruction.",
+    "render": "Virtual views of a scene model.",
+    "localize": "Where was the robot? A particle filter over a data set.",
+    "evaluate": "Errors of a run against ground truth.",
+    "report": "A page with figures that shows how a run went.",
+    "export": "A run as TUM, KITTI, EuRoC, CSV or JSON.",
+    "info": "What a file or folder made by lfnav, or a data set, contains.",
+}
+
+
+class LazyGroup(click.Group):
+    """A group whose commands live in modules that are imported on first use."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names in the order in which data flows through them."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The command, imported now; None where there is none of that name."""
+        if cmd_name not in COMMANDS:
+            return None
+        module = importlib.import_module(f"lfnav_cli.{cmd_name}")
+        command = module.command
+        assert isinstance(command, click.Command)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Lists the commands from their one-liners alone."""
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+
+@click.group(
+    cls=LazyGroup,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+)
+@click.version_option(package_name="lfnav", prog_name="lfnav")
+def main() -> None:
+    """Localize and dock a robot with one camera and an image-based scene model.
+
+    Files chain the commands: reconstruct -> model -> localize -> evaluate, report.
+
+    \b
+    Example:
+      lfnav reconstruct DATASET -o RECON --method odometry
+      lfnav model RECON -o scene.h5
+      lfnav localize scene.h5 TEST_DATASET -o run.h5
+      lfnav report run.h5 -o report/
+    """
+
+
+def run() -> None:
+    """Entry point of the console script: exit code 0, 1 (one-line error) or 2 (wrong usage)."""
+    sys.exit(common.run_command(main))
+
+
+if __name__ == "__main__":
+    run()

@@ -1,0 +1,1 @@
+"""Floor 1: poses, cameras, planes, trajectories. Pure functions of arrays, no files but TUM text."""

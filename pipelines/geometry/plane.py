@@ -1,0 +1,58 @@
+"""Planes in world coordinates."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.errors import OptionError
+
+
+@dataclass(frozen=True)
+class Plane:
+    """The points x with ``normal . x + offset = 0``.
+
+    Attributes:
+        normal: ``(3,)`` unit normal in world coordinates; it points to the side from which the
+            surface is seen.
+        offset: metres; the signed distance of the world's origin from the plane.
+    """
+
+    normal: FloatArray
+    offset: float
+
+    def signed_distance(self, points: ArrayLike) -> FloatArray:
+        """Signed distance (metres, ``(...)``) of points ``(..., 3)``, positive on the seen side."""
+        return np.asarray(np.asarray(points, dtype=np.float64) @ self.normal + self.offset)
+
+    def facing(self, points: FloatArray) -> "Plane":
+        """The same plane with its normal towards the majority of ``points``, ``(N, 3)``."""
+        if np.median(self.signed_distance(points)) < 0.0:
+            return Plane(-self.normal, -self.offset)
+        return self
+
+    def coefficients(self) -> FloatArray:
+        """``(4,)``: a, b, c, d of ``a x + b y + c z + d = 0`` with a unit normal."""
+        return np.append(self.normal, self.offset)
+
+
+def plane_from_coefficients(coefficients: ArrayLike) -> Plane:
+    """The plane ``a x + b y + c z + d = 0``, normalised.
+
+    Raises:
+        OptionError: not four finite numbers, or (a, b, c) is zero.
+    """
+    values = np.asarray(coefficients, dtype=np.float64).reshape(-1)
+    if values.shape != (4,) or not np.all(np.isfinite(values)):
+        raise OptionError("a plane takes four finite numbers a,b,c,d with a x + b y + c z + d = 0")
+    length = float(np.linalg.norm(values[:3]))
+    if length == 0.0:
+        raise OptionError("the plane's normal (a, b, c) is zero; give a direction")
+    return Plane(values[:3] / length, float(values[3] / length))
+
+
+def angle_between(first: Plane, second: Plane) -> float:
+    """Angle (radians, in [0, pi/2]) between two planes, whichever way their normals point."""
+    cosine = abs(float(first.normal @ second.normal))
+    return float(np.arccos(min(1.0, cosine)))

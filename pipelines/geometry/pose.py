@@ -1,0 +1,126 @@
+"""Rigid transforms and planar robot poses.
+
+A rigid transform is a ``(4, 4)`` homogeneous matrix named ``b_from_a``: it takes homogeneous
+coordinates in frame ``a`` to frame ``b``, so that ``c_from_a = c_from_b @ b_from_a``. Stacks of
+transforms have shape ``(N, 4, 4)``. World and robot base follow REP-103 (x forward, y left,
+z up); cameras follow OpenCV and COLMAP (x right, y down, z forward). Angles are radians; heading is
+counter-clockwise about z, in (-pi, pi].
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from pipelines.artifacts.array_types import FloatArray
+
+# Columns: the axes of a forward-looking camera (right, down, forward) in base coordinates.
+BASE_FROM_FORWARD_CAMERA = np.array(
+    [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]], dtype=np.float64
+)
+
+
+def wrap_angle(angle: ArrayLike) -> FloatArray:
+    """Wraps angles (radians, any shape) into (-pi, pi]."""
+    values = np.asarray(angle, dtype=np.float64)
+    return np.asarray(np.pi - np.mod(np.pi - values, 2.0 * np.pi), dtype=np.float64)
+
+
+def pose_from_rotation(rotation: ArrayLike, translation: ArrayLike) -> FloatArray:
+    """Assembles transforms from rotation matrices ``(..., 3, 3)`` and translations ``(..., 3)``.
+
+    Returns:
+        ``(..., 4, 4)`` homogeneous matrices.
+    """
+    rotation_array = np.asarray(rotation, dtype=np.float64)
+    pose = np.zeros((*rotation_array.shape[:-2], 4, 4))
+    pose[..., :3, :3] = rotation_array
+    pose[..., :3, 3] = translation
+    pose[..., 3, 3] = 1.0
+    return pose
+
+
+def pose_from_quaternion(translation: ArrayLike, quaternion_xyzw: ArrayLike) -> FloatArray:
+    """Transforms from translations ``(..., 3)`` and unit quaternions ``(..., 4)``, scalar last.
+
+    Returns:
+        ``(..., 4, 4)`` homogeneous matrices.
+    """
+    quaternion = np.asarray(quaternion_xyzw, dtype=np.float64)
+    rotation = Rotation.from_quat(quaternion.reshape(-1, 4)).as_matrix()
+    return pose_from_rotation(rotation.reshape(*quaternion.shape[:-1], 3, 3), translation)
+
+
+def quaternion_of(pose: FloatArray) -> FloatArray:
+    """Unit quaternions ``(..., 4)``, scalar last and non-negative, of transforms ``(..., 4, 4)``."""
+    rotation = Rotation.from_matrix(pose[..., :3, :3].reshape(-1, 3, 3))
+    quaternion = rotation.as_quat(canonical=True)
+    return np.asarray(quaternion.reshape(*pose.shape[:-2], 4), dtype=np.float64)
+
+
+def inverse(pose: FloatArray) -> FloatArray:
+    """Inverse of rigid transforms ``(..., 4, 4)``: ``a_from_b`` of ``b_from_a``."""
+    rotation_transposed = np.swapaxes(pose[..., :3, :3], -1, -2)
+    translation = -(rotation_transposed @ pose[..., :3, 3:])[..., 0]
+    return pose_from_rotation(rotation_transposed, translation)
+
+
+def rotation_angle(pose: FloatArray) -> FloatArray:
+    """Angle (radians, in [0, pi]) by which transforms ``(..., 4, 4)`` rotate; shape ``(...)``."""
+    rotation = Rotation.from_matrix(pose[..., :3, :3].reshape(-1, 3, 3))
+    return np.asarray(rotation.magnitude().reshape(pose.shape[:-2]), dtype=np.float64)
+
+
+def world_from_base_planar(states: ArrayLike) -> FloatArray:
+    """Robot poses on the ground plane z = 0.
+
+    Args:
+        states: ``(..., 3)``: x and y in metres, heading in radians.
+
+    Returns:
+        ``world_from_base``, ``(..., 4, 4)``.
+    """
+    state = np.asarray(states, dtype=np.float64)
+    cosine, sine = np.cos(state[..., 2]), np.sin(state[..., 2])
+    pose = np.zeros((*state.shape[:-1], 4, 4))
+    pose[..., 0, 0] = cosine
+    pose[..., 0, 1] = -sine
+    pose[..., 1, 0] = sine
+    pose[..., 1, 1] = cosine
+    pose[..., 2, 2] = 1.0
+    pose[..., 3, 3] = 1.0
+    pose[..., 0, 3] = state[..., 0]
+    pose[..., 1, 3] = state[..., 1]
+    return pose
+
+
+def planar_state_of(world_from_base: FloatArray) -> FloatArray:
+    """Planar states ``(..., 3)`` (x, y in metres, heading in radians) of poses ``(..., 4, 4)``.
+
+    The heading is the direction of the base's x axis seen from above.
+    """
+    state = np.empty((*world_from_base.shape[:-2], 3))
+    state[..., :2] = world_from_base[..., :2, 3]
+    heading = np.arctan2(world_from_base[..., 1, 0], world_from_base[..., 0, 0])
+    state[..., 2] = wrap_angle(heading)
+    return state
+
+
+def camera_heading_of(world_from_camera: FloatArray) -> FloatArray:
+    """Heading (radians, shape ``(...)``) of the optical axis of cameras ``(..., 4, 4)``."""
+    heading = np.arctan2(world_from_camera[..., 1, 2], world_from_camera[..., 0, 2])
+    return wrap_angle(heading)
+
+
+def base_from_camera_mount(position: ArrayLike, roll_pitch_yaw_deg: ArrayLike) -> FloatArray:
+    """The camera on the robot base.
+
+    Args:
+        position: ``(3,)`` metres, base coordinates.
+        roll_pitch_yaw_deg: ``(3,)`` degrees: rotations about the base's fixed x, y and z axes, in
+            this order, of a camera that looks along the base's x axis. Positive pitch looks down.
+
+    Returns:
+        ``base_from_camera``, ``(4, 4)``.
+    """
+    turn = Rotation.from_euler("xyz", np.asarray(roll_pitch_yaw_deg, np.float64), degrees=True)
+    return pose_from_rotation(turn.as_matrix() @ BASE_FROM_FORWARD_CAMERA, position)
