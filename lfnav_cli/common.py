@@ -1,9 +1,10 @@
-"""What all subcommands share: options, progress bars, tables, the mapping of errors to exit codes."""
+"""What all subcommands share: options, progress bars, tables, and errors as exit codes."""
 
 import functools
 import json
 import logging
 import sys
+import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -20,7 +21,7 @@ EXIT_OK, EXIT_ERROR, EXIT_USAGE, EXIT_INTERRUPTED = 0, 1, 2, 130
 
 
 def run_command(command: click.Command, arguments: Sequence[str] | None = None) -> int:
-    """Runs a command; what the user can mend becomes one line on stderr.
+    """Runs a command; whatever goes wrong becomes one line on stderr.
 
     Returns:
         The exit code: 0, 1 for an error, 2 for wrong usage, 130 for Ctrl-C.
@@ -31,21 +32,36 @@ def run_command(command: click.Command, arguments: Sequence[str] | None = None) 
         code = command.main(args=arguments, standalone_mode=False, prog_name="lfnav")
         return code if isinstance(code, int) else EXIT_OK
     except click.UsageError as error:
-        error.show()
+        place = error.ctx.command_path if error.ctx else "lfnav"
+        print_error(f"{error.format_message()}  (see '{place} --help')")
         return EXIT_USAGE
     except click.ClickException as error:
-        error.show()
+        print_error(error.format_message())
         return EXIT_ERROR
     except (click.Abort, KeyboardInterrupt):
-        click.echo("lfnav: interrupted", err=True)
+        print_error("interrupted")
         return EXIT_INTERRUPTED
     except LfnavError as error:
-        click.echo(f"lfnav: {one_line(str(error))}", err=True)
+        print_error(str(error))
         return EXIT_ERROR
-    except BrokenPipeError:
-        # The reader of a pipe (head, less) has gone; flushing at exit would complain again.
-        sys.stderr.close()
+    except MemoryError:
+        print_error("out of memory")
         return EXIT_ERROR
+    except OSError as error:
+        print_error(str(error))
+        return EXIT_ERROR
+    except Exception as error:  # noqa: BLE001
+        # A defect of lfnav. The place where it happened helps only whoever asks for it.
+        if {"-v", "--verbose"} & set(sys.argv[1:] if arguments is None else arguments):
+            traceback.print_exc()
+        kind = type(error).__name__
+        print_error(f"internal error, please report it: {kind}: {error}  (-v shows where)")
+        return EXIT_ERROR
+
+
+def print_error(text: str) -> None:
+    """Writes one line on stderr that begins with the program's name."""
+    click.echo(f"lfnav: {one_line(text)}", err=True)
 
 
 def one_line(text: str) -> str:
@@ -60,18 +76,23 @@ def common_options(command: Decorated) -> Decorated:
     @click.option("--quiet", is_flag=True, help="Print errors only; no progress bars.")
     @functools.wraps(command)
     def wrapper(*args: Any, verbose: bool, quiet: bool, **kwargs: Any) -> Any:
-        if verbose and quiet:
-            raise click.UsageError("--verbose and --quiet exclude each other")
-        level = logging.DEBUG if verbose else logging.ERROR if quiet else logging.WARNING
-        logging.basicConfig(
-            level=logging.WARNING, format="lfnav: %(message)s", stream=sys.stderr, force=True
-        )
-        logging.getLogger("pipelines").setLevel(level)
         context = click.get_current_context()
+        if verbose and quiet:
+            raise click.UsageError("--verbose and --quiet exclude each other", ctx=context)
+        configure_logging(verbose, quiet)
         context.meta["lfnav.quiet"] = quiet
         return command(*args, progress=make_progress(quiet), **kwargs)
 
     return wrapper  # type: ignore[return-value]
+
+
+def configure_logging(verbose: bool, quiet: bool) -> None:
+    """Sends the library's log to stderr: warnings, or everything, or errors alone."""
+    level = logging.DEBUG if verbose else logging.ERROR if quiet else logging.WARNING
+    logging.basicConfig(
+        level=logging.WARNING, format="lfnav: %(message)s", stream=sys.stderr, force=True
+    )
+    logging.getLogger("pipelines").setLevel(level)
 
 
 overwrite_option = click.option(
@@ -104,12 +125,16 @@ def print_summary(summary: "Summary", as_json: bool = False) -> None:
 
 def format_table(rows: Sequence[Sequence[str]]) -> str:
     """Left-aligned first column, right-aligned others, a rule below the headings."""
-    widths = [max(len(row[i]) for row in rows if i < len(row)) for i in range(len(rows[0]))]
+    if not rows:
+        return ""
+    columns = max(len(row) for row in rows)
+    padded = [[*row, *[""] * (columns - len(row))] for row in rows]
+    widths = [max(len(row[column]) for row in padded) for column in range(columns)]
     lines = []
-    for number, row in enumerate(rows):
+    for number, row in enumerate(padded):
         cells = [
             cell.ljust(width) if column == 0 else cell.rjust(width)
-            for column, (cell, width) in enumerate(zip(row, widths, strict=False))
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
         ]
         lines.append("  ".join(cells).rstrip())
         if number == 0:

@@ -1,7 +1,9 @@
 """The ``lfnav`` command: finds the subcommand's module, maps errors to one line and exit codes."""
 
 import importlib
+import signal
 import sys
+from types import FrameType
 
 import click
 
@@ -32,9 +34,9 @@ class LazyGroup(click.Group):
         """The command, imported now; None where there is none of that name."""
         if cmd_name not in COMMANDS:
             return None
-        module = importlib.import_module(f"lfnav_cli.{cmd_name}")
-        command = module.command
-        assert isinstance(command, click.Command)
+        command = importlib.import_module(f"lfnav_cli.{cmd_name}").command
+        if not isinstance(command, click.Command):
+            raise TypeError(f"lfnav_cli.{cmd_name}.command is not a click command")
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -45,26 +47,39 @@ class LazyGroup(click.Group):
 
 @click.group(
     cls=LazyGroup,
+    invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
 )
 @click.version_option(package_name="lfnav", prog_name="lfnav")
-def main() -> None:
+@click.pass_context
+def main(context: click.Context) -> None:
     """Localize and dock a robot with one camera and an image-based scene model.
 
     Files chain the commands: reconstruct -> model -> localize -> evaluate, report.
+    'lfnav COMMAND --help' explains one of them.
 
     \b
     Example:
-      lfnav reconstruct DATASET -o RECON --method odometry
-      lfnav model RECON -o scene.h5
+      lfnav reconstruct MAP_DATASET -o map --method odometry
+      lfnav model map -o scene.h5
       lfnav localize scene.h5 TEST_DATASET -o run.h5
       lfnav report run.h5 -o report/
     """
+    if context.invoked_subcommand is None:
+        # Releases of click differ in stream and exit code here.
+        click.echo(context.get_help(), err=True)
+        context.exit(common.EXIT_USAGE)
 
 
 def run() -> None:
     """Entry point of the console script: exit code 0, 1 (one-line error) or 2 (wrong usage)."""
+    signal.signal(signal.SIGTERM, stop_cleanly)
     sys.exit(common.run_command(main))
+
+
+def stop_cleanly(signal_number: int, frame: FrameType | None) -> None:
+    """Ends the program by an exception, so that temporary files are removed on the way out."""
+    sys.exit(128 + signal_number)
 
 
 if __name__ == "__main__":
