@@ -1,0 +1,173 @@
+"""The belief: weighted particles that stand for p(x_t | H_t) of the paper's equation (1).
+
+A particle is a planar state (x, y, heading) with a weight. Weights are kept as logarithms, since
+the likelihood of an image is a product over thousands of pixels: as plain numbers nearly all
+particles would underflow to zero, and the few that are left would look equally good. Only
+differences of log-weights carry meaning, so that a belief is normalised after each update.
+
+A set in which every weight is zero says nothing about where the robot is; ``normalise_log_weights``
+reports that instead of inventing weights, and the filter calls the robot lost.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.errors import OptionError, StageError
+from pipelines.geometry.pose import wrap_angle
+
+# A belief's weights add up to 1 within this; looser than rounding over a million particles.
+NORMALISATION_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class Belief:
+    """A normalised particle set.
+
+    Attributes:
+        states: ``(M, 3)`` world coordinates: x and y in metres, heading in radians.
+        log_weights: ``(M,)`` natural logarithms of weights that add up to 1; -inf is a weight of 0.
+
+    Raises:
+        OptionError: no particle, shapes that do not fit, or states that are not finite.
+        StageError: weights that are NaN or do not add up to 1.
+    """
+
+    states: FloatArray
+    log_weights: FloatArray
+
+    def __post_init__(self) -> None:
+        if self.states.ndim != 2 or self.states.shape[1] != 3 or len(self.states) == 0:
+            raise OptionError(f"particles have shape {self.states.shape} instead of (M, 3), M > 0")
+        if self.log_weights.shape != (len(self.states),):
+            raise OptionError(
+                f"{len(self.states)} particles with log-weights of shape {self.log_weights.shape}"
+            )
+        if not np.all(np.isfinite(self.states)):
+            raise OptionError("a particle's state is not finite")
+        total = float(np.sum(np.exp(self.log_weights)))
+        # Written so that NaN fails the test too.
+        if not abs(total - 1.0) <= NORMALISATION_TOLERANCE:
+            raise StageError(f"the particles' weights add up to {total:g} instead of 1")
+
+    def __len__(self) -> int:
+        return len(self.states)
+
+    @property
+    def weights(self) -> FloatArray:
+        """``(M,)`` weights that add up to 1."""
+        return np.exp(self.log_weights)
+
+
+def normalise_log_weights(log_weights: ArrayLike) -> tuple[FloatArray, bool]:
+    """Log-weights shifted so that the weights add up to 1.
+
+    Args:
+        log_weights: ``(M,)`` of any common offset; -inf is a weight of 0.
+
+    Returns:
+        The normalised log-weights ``(M,)``, and whether any particle had weight. Where none had,
+        the weights are equal: the image speaks against all hypotheses alike, and the caller has to
+        say that the robot is lost.
+
+    Raises:
+        OptionError: no weight at all, or not a vector.
+        StageError: NaN or +inf among them: the likelihood is broken, nothing can be concluded.
+    """
+    values = np.asarray(log_weights, dtype=np.float64)
+    if values.ndim != 1 or len(values) == 0:
+        raise OptionError(f"log-weights have shape {values.shape} instead of (M,), M > 0")
+    broken = int(np.count_nonzero(np.isnan(values) | np.isposinf(values)))
+    if broken:
+        raise StageError(f"{broken} of {len(values)} log-weights are NaN or +inf")
+    largest = float(np.max(values))
+    if np.isneginf(largest):
+        return np.full(len(values), -np.log(len(values))), False
+    # Largest first at 0: the sum lies in [1, M] and can neither underflow nor overflow.
+    shifted = values - largest
+    return shifted - np.log(np.sum(np.exp(shifted))), True
+
+
+def effective_sample_size(log_weights: FloatArray) -> float:
+    """How many equally weighted particles the set is worth: 1 / sum of squared weights.
+
+    Args:
+        log_weights: ``(M,)``, of any common offset.
+
+    Returns:
+        In [1, M]; 0 where no particle has weight.
+    """
+    largest = float(np.max(log_weights))
+    if np.isneginf(largest):
+        return 0.0
+    relative = np.exp(log_weights - largest)
+    return float(np.sum(relative) ** 2 / np.sum(relative**2))
+
+
+def uniform_belief(bounds: ArrayLike, count: int, rng: np.random.Generator) -> Belief:
+    """Equally weighted particles, uniform over an area and all headings.
+
+    Args:
+        bounds: ``(4,)`` x_min, x_max, y_min, y_max in metres.
+        count: number of particles.
+        rng: source of the draws.
+
+    Raises:
+        OptionError: bounds that are not finite or enclose nothing, or fewer than one particle.
+    """
+    area = np.asarray(bounds, dtype=np.float64)
+    if area.shape != (4,) or not np.all(np.isfinite(area)):
+        raise OptionError("an area takes four finite numbers x_min,x_max,y_min,y_max")
+    if area[0] >= area[1] or area[2] >= area[3]:
+        raise OptionError(
+            f"the area x {area[0]:g} to {area[1]:g}, y {area[2]:g} to {area[3]:g} is empty"
+        )
+    _check_count(count)
+    low = np.array([area[0], area[2], -np.pi])
+    high = np.array([area[1], area[3], np.pi])
+    states = low + (high - low) * rng.random((count, 3))
+    states[:, 2] = wrap_angle(states[:, 2])
+    return Belief(states, _equal_log_weights(count))
+
+
+def gaussian_belief(
+    state: ArrayLike,
+    position_sigma: float,
+    heading_sigma: float,
+    count: int,
+    rng: np.random.Generator,
+) -> Belief:
+    """Equally weighted particles around a state.
+
+    Args:
+        state: ``(3,)`` x, y in metres, heading in radians.
+        position_sigma: standard deviation of x and of y, metres.
+        heading_sigma: standard deviation of the heading, radians.
+        count: number of particles.
+        rng: source of the draws.
+
+    Raises:
+        OptionError: values that are not finite, negative deviations, or fewer than one particle.
+    """
+    centre = np.asarray(state, dtype=np.float64)
+    if centre.shape != (3,) or not np.all(np.isfinite(centre)):
+        raise OptionError("a start pose takes three finite numbers x, y, heading")
+    for name, sigma in (("position_sigma", position_sigma), ("heading_sigma", heading_sigma)):
+        if not (np.isfinite(sigma) and sigma >= 0.0):
+            raise OptionError(f"{name} = {sigma:g} is not a standard deviation (0 or more)")
+    _check_count(count)
+    spread = np.array([position_sigma, position_sigma, heading_sigma])
+    states = centre + spread * rng.standard_normal((count, 3))
+    states[:, 2] = wrap_angle(states[:, 2])
+    return Belief(states, _equal_log_weights(count))
+
+
+def _check_count(count: int) -> None:
+    if count < 1:
+        raise OptionError(f"{count} particles; at least 1 is needed")
+
+
+def _equal_log_weights(count: int) -> FloatArray:
+    return np.full(count, -np.log(count))
