@@ -103,7 +103,7 @@ class SafeFile:
             buffer = np.empty((), dtype=attribute.dtype)
             attribute.read(buffer)
             value: Any = buffer[()]
-            return kind(value.decode("utf-8") if kind is str else value)
+            return kind(value.decode("utf-8") if isinstance(value, bytes) else value)
         except _FORMAT_ERRORS as error:
             raise self._damaged(label, error) from error
 
