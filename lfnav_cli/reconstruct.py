@@ -1,0 +1,100 @@
+"""``lfnav reconstruct``: camera poses of a data set."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from lfnav_cli.common import common_options, json_option, overwrite_option, print_summary
+
+if TYPE_CHECKING:
+    from pipelines.artifacts.progress import Progress
+
+
+@click.command("reconstruct")
+@click.argument("dataset", type=click.Path(path_type=Path))
+@click.option(
+    "-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder to write."
+)
+@click.option(
+    "--method",
+    type=click.Choice(["sfm", "odometry", "poses"]),
+    required=True,
+    help="Structure from motion; integrated odometry; or a file of poses.",
+)
+@click.option(
+    "--poses",
+    type=click.Path(path_type=Path),
+    help="TUM file of world_from_body, for --method poses.",
+)
+@click.option(
+    "--matcher",
+    type=click.Choice(["auto", "sequential", "exhaustive"]),
+    default="auto",
+    show_default=True,
+    help="sfm: which images are compared. auto: all pairs up to 40 images, neighbours above.",
+)
+@click.option(
+    "--scale",
+    type=float,
+    metavar="FACTOR",
+    help="sfm without odometry: metres for one unit of the model (find it with a first run).",
+)
+@click.option("--seed", type=int, default=0, show_default=True, help="sfm: random seed.")
+@click.option(
+    "--max-features",
+    type=int,
+    metavar="N",
+    default=4096,
+    show_default=True,
+    help="sfm: features an image.",
+)
+@click.option(
+    "--max-size",
+    type=int,
+    metavar="PX",
+    default=960,
+    show_default=True,
+    help="sfm: longer side of the images in which features are sought.",
+)
+@overwrite_option
+@json_option
+@common_options
+def command(
+    dataset: Path,
+    output: Path,
+    method: str,
+    poses: Path | None,
+    matcher: str,
+    scale: float | None,
+    seed: int,
+    max_features: int,
+    max_size: int,
+    overwrite: bool,
+    as_json: bool,
+    progress: "Progress",
+) -> None:
+    """Camera poses of the images of DATASET, written as a reconstruction folder.
+
+    With odometry the result is metric with z up, also by structure from motion. Without it the
+    first camera is the origin, z points against the mean image-down direction, and x where the
+    first camera looks.
+
+    \b
+    Example:
+      lfnav reconstruct sample_data/elevators/map -o out/elevators --method odometry
+      lfnav reconstruct sample_data/workshop/map -o out/workshop --method sfm
+    """
+    from pipelines.reconstruct.stage import ReconstructSettings, reconstruct
+
+    settings = ReconstructSettings(
+        method=method,
+        poses=poses,
+        matcher=matcher,
+        scale=scale,
+        seed=seed,
+        max_features=max_features,
+        max_size=max_size,
+    )
+    summary = reconstruct(dataset, output, settings, overwrite=overwrite, progress=progress)
+    print_summary(summary, as_json)

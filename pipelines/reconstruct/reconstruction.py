@@ -1,0 +1,396 @@
+"""The reconstruction: posed images of a place, and the folder in which it is kept.
+
+The folder holds a COLMAP model in ``sparse/`` and ``reconstruction.json``: how it was made, the
+images with their times and hashes, the images that were dropped and why, statistics.
+"""
+
+import json
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import Any, TypeVar
+
+import numpy as np
+
+from pipelines.artifacts.array_types import FloatArray, ImageArray, IntArray
+from pipelines.artifacts.atomic import atomic_folder
+from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.artifacts.provenance import sha256_of_bytes
+from pipelines.geometry.camera import Camera
+from pipelines.geometry.pose import inverse
+from pipelines.reconstruct.colmap_model import (
+    MAX_MODEL_FILE_BYTES,
+    ColmapModel,
+    ModelImage,
+    ModelPoints,
+    read_file,
+    read_model,
+    write_model,
+)
+
+FORMAT = "lfnav reconstruction"
+SCHEMA_VERSION = 1
+DESCRIPTION_NAME = "reconstruction.json"
+MODEL_FOLDER = "sparse"
+MODEL_FILES = ("cameras.bin", "images.bin", "points3D.bin")
+METHODS = ("sfm", "odometry", "poses")
+SCALE_SOURCES = ("odometry", "given poses", "--scale", "arbitrary")
+MAX_DESCRIPTION_BYTES = 64 * 1024 * 1024
+UNKNOWN_COLOR = 128
+UNKNOWN_ERROR = -1.0
+
+Value = TypeVar("Value")
+
+
+def _no_pixels() -> FloatArray:
+    return np.empty((0, 2))
+
+
+def _no_colors() -> ImageArray:
+    return np.empty((0, 3), dtype=np.uint8)
+
+
+def _no_errors() -> FloatArray:
+    return np.empty(0)
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """Posed images, and the points that they see where structure from motion found some.
+
+    Attributes:
+        method: one of ``METHODS``.
+        image_root: absolute folder of the images.
+        image_names: the registered images, POSIX, relative to ``image_root``, in time order.
+        image_hashes: SHA-256 of the image files.
+        timestamps: ``(N,)`` seconds.
+        cameras: the cameras that took the images.
+        camera_index: ``(N,)`` which of ``cameras`` took each image.
+        world_from_camera: ``(N, 4, 4)``; metric and z up unless ``scale_source`` is "arbitrary".
+        points: ``(P, 3)`` world coordinates; may be empty.
+        observations: ``(M, 2)`` rows (index of a point, index of an image).
+        base_from_camera: ``(4, 4)``; None: the body is the camera.
+        scale_source: one of ``SCALE_SOURCES``.
+        dropped: name of an image of the data set that has no pose -> the reason.
+        statistics: plain JSON types.
+        observed_pixels: ``(M, 2)`` where each observation lies in its image, pixel centres at
+            integers. It is empty only where ``observations`` is.
+        point_colors: ``(P, 3)`` RGB; empty where unknown.
+        point_errors: ``(P,)`` mean reprojection error in pixels; empty where unknown.
+
+    Raises:
+        OptionError: no image, or arrays whose sizes contradict each other.
+    """
+
+    method: str
+    image_root: Path
+    image_names: tuple[str, ...]
+    image_hashes: tuple[str, ...]
+    timestamps: FloatArray
+    cameras: tuple[Camera, ...]
+    camera_index: IntArray
+    world_from_camera: FloatArray
+    points: FloatArray
+    observations: IntArray
+    base_from_camera: FloatArray | None
+    scale_source: str
+    dropped: dict[str, str]
+    statistics: dict[str, Any]
+    observed_pixels: FloatArray = field(default_factory=_no_pixels)
+    point_colors: ImageArray = field(default_factory=_no_colors)
+    point_errors: FloatArray = field(default_factory=_no_errors)
+
+    def __post_init__(self) -> None:
+        images, points, observations = map(len, (self.image_names, self.points, self.observations))
+        if images == 0:
+            raise OptionError("a reconstruction needs at least one image with a pose")
+        expected: list[tuple[str, tuple[int, ...], tuple[int, ...]]] = [
+            ("image_hashes", (len(self.image_hashes),), (images,)),
+            ("timestamps", self.timestamps.shape, (images,)),
+            ("camera_index", self.camera_index.shape, (images,)),
+            ("world_from_camera", self.world_from_camera.shape, (images, 4, 4)),
+            ("points", self.points.shape, (points, 3)),
+            ("observations", self.observations.shape, (observations, 2)),
+            ("observed_pixels", self.observed_pixels.shape, (observations, 2)),
+        ]
+        if len(self.point_colors):
+            expected.append(("point_colors", self.point_colors.shape, (points, 3)))
+        if len(self.point_errors):
+            expected.append(("point_errors", self.point_errors.shape, (points,)))
+        for name, shape, wanted in expected:
+            if shape != wanted:
+                raise OptionError(f"{name} has shape {shape}, expected {wanted}")
+        if self.method not in METHODS or self.scale_source not in SCALE_SOURCES:
+            raise OptionError(f"unknown method {self.method!r} or scale {self.scale_source!r}")
+
+
+def save_reconstruction(
+    path: Path, reconstruction: Reconstruction, provenance: Mapping[str, Any], overwrite: bool
+) -> None:
+    """Writes the folder, atomically.
+
+    Raises:
+        InputError: it exists already (without ``overwrite``), is no reconstruction that could be
+            replaced, or cannot be written.
+    """
+    with atomic_folder(path, overwrite, marker=DESCRIPTION_NAME) as folder:
+        model_folder = folder / MODEL_FOLDER
+        model_folder.mkdir()
+        write_model(model_folder, _colmap_model_of(reconstruction))
+        description = _description_of(path, reconstruction, provenance)
+        description["files"] = {
+            f"{MODEL_FOLDER}/{name}": sha256_of_bytes((model_folder / name).read_bytes())
+            for name in MODEL_FILES
+        }
+        text = json.dumps(description, indent=2, allow_nan=False) + "\n"
+        (folder / DESCRIPTION_NAME).write_text(text, encoding="utf-8")
+
+
+def _description_of(
+    path: Path, reconstruction: Reconstruction, provenance: Mapping[str, Any]
+) -> dict[str, Any]:
+    mount = reconstruction.base_from_camera
+    root = reconstruction.image_root.resolve()
+    # The relative path survives a move of reconstruction and images together, the absolute one
+    # a move of the reconstruction alone.
+    relative = Path(os.path.relpath(root, path.resolve())).as_posix()
+    rows = zip(
+        reconstruction.image_names,
+        reconstruction.timestamps.tolist(),
+        reconstruction.image_hashes,
+        strict=True,
+    )
+    return {
+        "format": FORMAT,
+        "schema_version": SCHEMA_VERSION,
+        "method": reconstruction.method,
+        "scale_source": reconstruction.scale_source,
+        "image_root": relative,
+        "image_root_absolute": root.as_posix(),
+        "images": [{"name": n, "timestamp": t, "sha256": h} for n, t, h in rows],
+        "dropped": reconstruction.dropped,
+        "base_from_camera": None if mount is None else mount.tolist(),
+        "statistics": reconstruction.statistics,
+        "provenance": dict(provenance),
+    }
+
+
+def _colmap_model_of(reconstruction: Reconstruction) -> ColmapModel:
+    """The model as COLMAP numbers it: everything from 1, keypoints only where a point is seen."""
+    camera_from_world = inverse(reconstruction.world_from_camera)
+    images: list[ModelImage] = []
+    keypoint_index = np.zeros(len(reconstruction.observations), dtype=np.int64)
+    for index, name in enumerate(reconstruction.image_names):
+        own = np.flatnonzero(reconstruction.observations[:, 1] == index)
+        keypoint_index[own] = np.arange(len(own))
+        images.append(
+            ModelImage(
+                index + 1,
+                name,
+                int(reconstruction.camera_index[index]) + 1,
+                camera_from_world[index],
+                reconstruction.observed_pixels[own],
+                reconstruction.observations[own, 0] + 1,
+            )
+        )
+    count = len(reconstruction.points)
+    colors, errors = reconstruction.point_colors, reconstruction.point_errors
+    points = ModelPoints(
+        np.arange(1, count + 1),
+        reconstruction.points,
+        colors if len(colors) else np.full((count, 3), UNKNOWN_COLOR, dtype=np.uint8),
+        errors if len(errors) else np.full(count, UNKNOWN_ERROR),
+        np.column_stack(
+            [
+                reconstruction.observations[:, 0],
+                reconstruction.observations[:, 1] + 1,
+                keypoint_index,
+            ]
+        ),
+    )
+    cameras = {index + 1: camera for index, camera in enumerate(reconstruction.cameras)}
+    return ColmapModel(cameras, tuple(images), points)
+
+
+def load_reconstruction(path: Path) -> Reconstruction:
+    """Reads the folder; nothing in it is believed before it is checked.
+
+    Raises:
+        InputError: the folder is missing or is no reconstruction, a file is truncated, damaged or
+            of the wrong types, or no image has a pose; the file is named.
+    """
+    if not path.is_dir():
+        reason = "is not a folder" if path.exists() else "does not exist"
+        raise InputError(path, reason, "make a reconstruction with lfnav reconstruct")
+    source = path / DESCRIPTION_NAME
+    if not source.exists():
+        raise InputError(path, f"is not a reconstruction (holds no {DESCRIPTION_NAME})")
+    description = _read_description(source)
+    _check_hashes(path, _Fields(source, description).get("files", dict))
+    model = read_model(path / MODEL_FOLDER)
+    try:
+        return _assemble(path, _Fields(source, description), model)
+    except OptionError as error:
+        raise InputError(source, str(error)) from error
+
+
+def _assemble(path: Path, fields: "_Fields", model: ColmapModel) -> Reconstruction:
+    rows = fields.get("images", list)
+    if not rows:
+        raise InputError(fields.path, "the reconstruction holds no image with a pose")
+    entries = [_Fields(fields.path, row, f"images[{k}].") for k, row in enumerate(rows)]
+    names = tuple(_checked_name(entry) for entry in entries)
+    by_name = {image.name: image for image in model.images}
+    if len(by_name) != len(model.images) or set(by_name) != set(names) or len(rows) != len(names):
+        raise InputError(fields.path, f"its images are not those of {MODEL_FOLDER}/images.bin")
+    images = [by_name[name] for name in names]
+    if len(images) != len(model.images):
+        raise InputError(fields.path, "names an image twice")
+    timestamps = np.array([entry.number("timestamp") for entry in entries])
+    if np.any(np.diff(timestamps) <= 0.0):
+        raise InputError(fields.path, "the timestamps of the images do not increase")
+    camera_numbers = list(model.cameras)
+    image_index = {image.identifier: index for index, image in enumerate(images)}
+    tracks = model.points.tracks
+    observed = np.array([image_index[number] for number in tracks[:, 1].tolist()], dtype=np.int64)
+    pixels = np.empty((len(tracks), 2))
+    for index, image in enumerate(images):
+        own = observed == index
+        pixels[own] = image.keypoints[tracks[own, 2]]
+    return Reconstruction(
+        method=fields.choice("method", METHODS),
+        image_root=_image_root(path, fields, names[0]),
+        image_names=names,
+        image_hashes=tuple(entry.get("sha256", str) for entry in entries),
+        timestamps=timestamps,
+        cameras=tuple(model.cameras.values()),
+        camera_index=np.array([camera_numbers.index(image.camera) for image in images]),
+        world_from_camera=inverse(np.array([image.camera_from_world for image in images])),
+        points=model.points.positions,
+        observations=np.column_stack([tracks[:, 0], observed]),
+        base_from_camera=_mount(fields),
+        scale_source=fields.choice("scale_source", SCALE_SOURCES),
+        dropped=_texts(fields, "dropped"),
+        statistics=fields.get("statistics", dict),
+        observed_pixels=pixels,
+        point_colors=model.points.colors,
+        point_errors=model.points.errors,
+    )
+
+
+class _Fields:
+    """Typed access to a JSON object; what has another type is an error that names the key."""
+
+    def __init__(self, path: Path, value: object, prefix: str = "") -> None:
+        if not isinstance(value, dict):
+            raise InputError(path, f"{prefix.rstrip('.') or 'the content'} is not a JSON object")
+        self.path, self.prefix = path, prefix
+        self.values: dict[str, Any] = value
+
+    def get(self, key: str, kind: type[Value]) -> Value:
+        value = self.values.get(key)
+        # In Python a bool is an int as well.
+        if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
+            found = "is missing" if key not in self.values else f"is a {type(value).__name__}"
+            raise InputError(self.path, f"{self.prefix}{key} {found}, expected {kind.__name__}")
+        return value
+
+    def number(self, key: str) -> float:
+        value = self.values.get(key)
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise InputError(self.path, f"{self.prefix}{key} is not a number")
+        if abs(value) > 1e300 or not math.isfinite(value):
+            raise InputError(self.path, f"{self.prefix}{key} is out of range")
+        return float(value)
+
+    def choice(self, key: str, known: tuple[str, ...]) -> str:
+        value = self.get(key, str)
+        if value not in known:
+            reason = f"{self.prefix}{key} {value[:40]!r} is unknown"
+            raise InputError(self.path, reason, f"known are {', '.join(known)}")
+        return value
+
+
+def _read_description(path: Path) -> object:
+    def refuse_constant(name: str) -> object:
+        raise ValueError(f"{name} is no JSON number")
+
+    data = read_file(path, MAX_DESCRIPTION_BYTES)
+    try:
+        value = json.loads(data.decode("utf-8"), parse_constant=refuse_constant)
+    except (ValueError, RecursionError) as error:
+        raise InputError(path, f"is not valid JSON ({error})") from error
+    fields = _Fields(path, value)
+    if fields.values.get("format") != FORMAT:
+        raise InputError(path, "is not the description of a reconstruction made by lfnav")
+    version = fields.get("schema_version", int)
+    if version > SCHEMA_VERSION:
+        raise InputError(
+            path,
+            f"was written by a newer lfnav (schema {version}, this one reads up to "
+            f"{SCHEMA_VERSION})",
+            "update lfnav",
+        )
+    if version < 1:
+        raise InputError(path, f"schema_version {version} does not exist")
+    return fields.values
+
+
+def _check_hashes(path: Path, hashes: dict[str, Any]) -> None:
+    for name in MODEL_FILES:
+        key = f"{MODEL_FOLDER}/{name}"
+        content = read_file(path / MODEL_FOLDER / name, MAX_MODEL_FILE_BYTES)
+        if hashes.get(key) != sha256_of_bytes(content):
+            raise InputError(
+                path / MODEL_FOLDER / name,
+                f"is damaged, or was changed after {DESCRIPTION_NAME} was written",
+                "run lfnav reconstruct again",
+            )
+
+
+def _checked_name(entry: _Fields) -> str:
+    name = entry.get("name", str)
+    parts = PurePosixPath(name).parts
+    if not parts or PurePosixPath(name).is_absolute() or ".." in parts or "\0" in name:
+        raise InputError(entry.path, f"{entry.prefix}name {name[:60]!r} leads out of the folder")
+    return name
+
+
+def _image_root(path: Path, fields: _Fields, first_name: str) -> Path:
+    relative, absolute = fields.get("image_root", str), fields.get("image_root_absolute", str)
+    if "\0" in relative + absolute:
+        raise InputError(fields.path, "image_root holds a null character")
+    together = Path(os.path.normpath(path.resolve() / relative))
+    alone = Path(absolute)
+    if not (together / first_name).is_file() and (alone / first_name).is_file():
+        return alone
+    return together
+
+
+def _mount(fields: _Fields) -> FloatArray | None:
+    value = fields.values.get("base_from_camera")
+    if value is None:
+        return None
+    try:
+        mount = np.array(value, dtype=np.float64)
+    except (ValueError, TypeError, OverflowError):
+        mount = np.empty(0)
+    is_rigid = (
+        mount.shape == (4, 4)
+        and bool(np.all(np.isfinite(mount)))
+        and np.allclose(mount[3], [0.0, 0.0, 0.0, 1.0])
+        and np.allclose(mount[:3, :3] @ mount[:3, :3].T, np.eye(3), atol=1e-6)
+        and float(np.linalg.det(mount[:3, :3])) > 0.0
+    )
+    if not is_rigid:
+        raise InputError(fields.path, "base_from_camera is not a rigid 4x4 transform")
+    return mount
+
+
+def _texts(fields: _Fields, key: str) -> dict[str, str]:
+    values = fields.get(key, dict)
+    if not all(isinstance(text, str) for text in values.values()):
+        raise InputError(fields.path, f"{key} does not map names to reasons")
+    return dict(values)
