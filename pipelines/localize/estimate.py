@@ -1,12 +1,12 @@
 """From a belief to answers: the likeliest particle, the mean, the modes, and how sure they are.
 
 A belief over a symmetric place has several peaks, and their mean is a place where the robot
-certainly is not. ``find_modes`` therefore looks for the peaks themselves. The particles' weights are
-summed in the cells of a grid over (x, y, heading) and smoothed; each cell then points to its densest
-neighbour, which leads uphill to a peak (the discrete form of mean shift). Peaks with hardly a dip
-between them are one mode: two are merged where the density on the pass between them is at least
-``MERGE_RATIO`` of the lower peak. Only occupied cells are stored, and the heading's cells close to
-a ring, so that neither the size of the area nor the jump at +-pi matters.
+certainly is not. ``find_modes`` therefore looks for the peaks themselves. The particles' weights
+are summed in the cells of a grid over (x, y, heading) and smoothed; each cell then points to its
+densest neighbour, which leads uphill to a peak (the discrete form of mean shift). Peaks with hardly
+a dip between them are one mode: two are merged where the density on the pass between them is at
+least ``MERGE_RATIO`` of the lower peak. Only occupied cells are stored, and the heading's cells
+close to a ring, so that neither the size of the area nor the jump at +-pi matters.
 """
 
 from dataclasses import dataclass

@@ -1,0 +1,375 @@
+"""The run: what the filter believed frame by frame, in memory and as the file ``run.h5``.
+
+Layout of the file: ``run`` (JSON: scene, data set, camera, settings, seed, provenance),
+``base_from_camera``, ``odometry`` and ``groundtruth`` where known, and a group a frame,
+``frames/0000`` ..., with ``frame`` (JSON), ``image`` (the recorded file's bytes), ``particles``,
+``log_weights``, ``modes``, ``covariance`` and ``estimates/NAME``. Seconds of wall time are
+attributes of the frame's group: all datasets of two runs with the same seed are equal, and time
+never is.
+"""
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.errors import InputError, LfnavError, OptionError
+from pipelines.artifacts.safe_hdf5 import (
+    SafeFile,
+    check_schema,
+    create_hdf5,
+    open_hdf5,
+    write_array,
+    write_attribute,
+    write_json,
+    write_schema,
+)
+from pipelines.geometry.camera import Camera
+from pipelines.localize.belief import Belief
+
+FORMAT = "lfnav run"
+SCHEMA_VERSION = 1
+STATUSES = ("global", "tracking", "lost")
+# The first of these that the frames have stands for the run where nobody asks for another one.
+ESTIMATE_PREFERENCE = ("refined", "mode", "mean", "max_weight")
+MAX_IMAGE_BYTES = 256 * 1024 * 1024
+SECONDS_PREFIX = "seconds_"
+# What JSON of another structure than expected leads to.
+_MALFORMED = (KeyError, TypeError, ValueError, AttributeError, OverflowError)
+
+
+@dataclass(frozen=True)
+class FrameRecord:
+    """The belief after one image, and what was concluded from it.
+
+    Attributes:
+        timestamp: seconds.
+        image_name: as in the data set.
+        particles: ``(M, 3)`` x, y (metres), heading (radians), weighted with this image, before
+            resampling.
+        log_weights: ``(M,)`` normalised.
+        estimates: name -> state ``(3,)``; empty where no estimate can be given (lost).
+        modes: ``(K, 4)`` x, y, heading, share of the weight; heaviest first.
+        covariance: ``(3, 3)`` of the heaviest mode.
+        effective_sample_size: of the weights.
+        confidence: 0 to 1.
+        status: one of ``STATUSES``: still searching, following one mode, or lost.
+        seconds: stage -> wall time.
+
+    Raises:
+        OptionError: shapes, ranges or names that do not fit the above.
+        StageError: weights that do not add up to 1.
+    """
+
+    timestamp: float
+    image_name: str
+    particles: FloatArray
+    log_weights: FloatArray
+    estimates: Mapping[str, FloatArray]
+    modes: FloatArray
+    covariance: FloatArray
+    effective_sample_size: float
+    confidence: float
+    status: str
+    seconds: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        # Belief's own checks are the ones that particles and weights have to pass.
+        Belief(self.particles, self.log_weights)
+        for name, state in self.estimates.items():
+            if not name.isidentifier():
+                raise OptionError(f"{name!r} is not a name for an estimate")
+            _check_finite(f"estimate {name}", state, (3,))
+        _check_finite("modes", self.modes, (len(self.modes), 4))
+        _check_finite("covariance", self.covariance, (3, 3))
+        if self.status not in STATUSES:
+            raise OptionError(f"status {self.status!r} is none of {', '.join(STATUSES)}")
+        if not 0.0 <= self.confidence <= 1.0:
+            raise OptionError(f"confidence {self.confidence:g} lies outside 0 to 1")
+        if not (np.isfinite(self.timestamp) and np.isfinite(self.effective_sample_size)):
+            raise OptionError("timestamp or effective sample size is not finite")
+        for stage, seconds in self.seconds.items():
+            if not (stage.isidentifier() and np.isfinite(seconds)):
+                raise OptionError(f"stage {stage!r} took {seconds:g} seconds")
+
+    @property
+    def belief(self) -> Belief:
+        """Particles and weights as a belief."""
+        return Belief(self.particles, self.log_weights)
+
+
+@dataclass(frozen=True)
+class Run:
+    """A localized sequence.
+
+    Attributes:
+        scene_identifier: content hash of the scene model it was made with.
+        scene_path: where that was, relative to the run file where possible (``locate_scene``).
+        dataset_name: name of the localized data set.
+        camera: its camera.
+        base_from_camera: ``(4, 4)`` the camera's mount.
+        settings: the filter's settings, plain JSON types. A text ``estimate`` among them names the
+            estimate that stands for the run.
+        seed: of the random numbers.
+        frames: at least one, in order of time.
+        encoded_images: the camera images' file content, one a frame, as recorded.
+        odometry: ``(N, 3)`` planar states of integrated odometry in its own frame, or None.
+        groundtruth: ``(N, 3)`` true states, NaN in frames without one, or None.
+        provenance: versions and hashes of the inputs, plain JSON types.
+
+    Raises:
+        OptionError: no frames, or parts of different length, or times that do not increase.
+    """
+
+    scene_identifier: str
+    scene_path: str
+    dataset_name: str
+    camera: Camera
+    base_from_camera: FloatArray
+    settings: Mapping[str, Any]
+    seed: int
+    frames: tuple[FrameRecord, ...]
+    encoded_images: tuple[bytes, ...]
+    odometry: FloatArray | None
+    groundtruth: FloatArray | None
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        count = len(self.frames)
+        if count == 0:
+            raise OptionError("the run has no frames")
+        if len(self.encoded_images) != count:
+            raise OptionError(f"{count} frames with {len(self.encoded_images)} images")
+        if np.any(np.diff(self.timestamps) <= 0.0):
+            raise OptionError("the frames' timestamps do not increase")
+        _check_finite("base_from_camera", self.base_from_camera, (4, 4))
+        if self.odometry is not None:
+            _check_finite("odometry", self.odometry, (count, 3))
+        if self.groundtruth is not None and self.groundtruth.shape != (count, 3):
+            raise OptionError(f"ground truth has shape {self.groundtruth.shape}, not {(count, 3)}")
+
+    @property
+    def timestamps(self) -> FloatArray:
+        """``(N,)`` seconds."""
+        return np.array([frame.timestamp for frame in self.frames])
+
+    @property
+    def estimate_names(self) -> tuple[str, ...]:
+        """Names of the estimates that any frame has, sorted."""
+        return tuple(sorted({name for frame in self.frames for name in frame.estimates}))
+
+    @property
+    def default_estimate(self) -> str:
+        """The estimate that stands for the run: from the settings, else the finest there is.
+
+        Raises:
+            OptionError: no frame has an estimate.
+        """
+        names = self.estimate_names
+        for name in (self.settings.get("estimate"), *ESTIMATE_PREFERENCE, *names):
+            if name in names:
+                return str(name)
+        raise OptionError("no frame of the run has an estimate: the filter was lost throughout")
+
+    def estimated_states(self, estimate: str | None = None) -> FloatArray:
+        """``(N, 3)`` states of one kind of estimate; NaN in frames where the filter gave none.
+
+        Args:
+            estimate: its name; None for ``default_estimate``.
+
+        Raises:
+            OptionError: no frame has an estimate of this name.
+        """
+        name = self.default_estimate if estimate is None else estimate
+        if name not in self.estimate_names:
+            raise OptionError(
+                f"the run has no estimate {name!r}; it has {', '.join(self.estimate_names)}"
+            )
+        missing = np.full(3, np.nan)
+        return np.stack([frame.estimates.get(name, missing) for frame in self.frames])
+
+
+def relative_scene_path(scene_path: Path, run_path: Path) -> str:
+    """How a run file refers to its scene: relative to the run's folder, so that both can move."""
+    try:
+        return os.path.relpath(scene_path.resolve(), run_path.resolve().parent)
+    except ValueError:
+        # On Windows there is no way from one drive to another.
+        return str(scene_path.resolve())
+
+
+def locate_scene(run: Run, run_path: Path) -> Path:
+    """Where the run's scene lies, if both are still where they were; existence is not checked."""
+    return Path(os.path.normpath(run_path.parent / run.scene_path))
+
+
+def check_run_belongs_to(
+    run: Run, scene_identifier: str, run_path: Path | str, scene_path: Path | str
+) -> None:
+    """Makes sure that a run was made with a scene before the two are shown together.
+
+    Raises:
+        InputError: it was made with another one.
+    """
+    if run.scene_identifier != scene_identifier:
+        raise InputError(
+            run_path,
+            f"belongs to another scene than {scene_path}",
+            f"it was made with {run.scene_path} ({run.scene_identifier[:12]}), "
+            f"this one is {scene_identifier[:12]}",
+        )
+
+
+def save_run(path: Path, run: Run, overwrite: bool) -> None:
+    """Writes a run, atomically.
+
+    Raises:
+        InputError: the file exists and ``overwrite`` is not set, or cannot be written.
+    """
+    with create_hdf5(path, overwrite) as file:
+        write_schema(file, FORMAT, SCHEMA_VERSION)
+        header = {
+            "scene_identifier": run.scene_identifier,
+            "scene_path": run.scene_path,
+            "dataset_name": run.dataset_name,
+            "camera": {
+                "model": run.camera.model,
+                "width": run.camera.width,
+                "height": run.camera.height,
+                "params": list(run.camera.params),
+            },
+            "settings": dict(run.settings),
+            "seed": run.seed,
+            "frames": len(run.frames),
+            "provenance": dict(run.provenance),
+        }
+        write_json(file, "run", header)
+        write_array(file, "base_from_camera", run.base_from_camera)
+        for name, states in (("odometry", run.odometry), ("groundtruth", run.groundtruth)):
+            if states is not None:
+                write_array(file, name, states)
+        for index, (frame, image) in enumerate(zip(run.frames, run.encoded_images, strict=True)):
+            _write_frame(file.create_group(_group_name(index)), frame, image)
+
+
+def load_run(path: Path) -> Run:
+    """Reads a run; the file may come from anybody.
+
+    Raises:
+        InputError: not a run, of a newer schema, damaged, or with values that do not fit together.
+    """
+    with open_hdf5(path) as file:
+        check_schema(file, FORMAT, SCHEMA_VERSION)
+        try:
+            return _read_run(file)
+        except InputError:
+            raise
+        except (LfnavError, *_MALFORMED) as error:
+            raise InputError(path, f"is not a valid run ({error})") from error
+
+
+def _group_name(index: int) -> str:
+    return f"frames/{index:04d}"
+
+
+def _write_frame(group: Any, frame: FrameRecord, image: bytes) -> None:
+    header = {
+        "timestamp": float(frame.timestamp),
+        "image_name": frame.image_name,
+        "effective_sample_size": float(frame.effective_sample_size),
+        "confidence": float(frame.confidence),
+        "status": frame.status,
+        "estimates": sorted(frame.estimates),
+        "stages": sorted(frame.seconds),
+    }
+    write_json(group, "frame", header)
+    write_array(group, "image", np.frombuffer(image, dtype=np.uint8))
+    write_array(group, "particles", frame.particles, compress=True)
+    write_array(group, "log_weights", frame.log_weights, compress=True)
+    write_array(group, "modes", frame.modes)
+    write_array(group, "covariance", frame.covariance)
+    for name, state in frame.estimates.items():
+        write_array(group, f"estimates/{name}", state)
+    for stage, seconds in frame.seconds.items():
+        write_attribute(group, SECONDS_PREFIX + stage, float(seconds))
+
+
+def _read_run(file: SafeFile) -> Run:
+    header = file.read_json("run")
+    camera = header["camera"]
+    count = int(header["frames"])
+    if count != len(file.names("frames")):
+        raise InputError(file.path, f"declares {count} frames, has {len(file.names('frames'))}")
+    frames, images = [], []
+    for index in range(count):
+        frame, image = _read_frame(file, _group_name(index))
+        frames.append(frame)
+        images.append(image)
+    return Run(
+        scene_identifier=str(header["scene_identifier"]),
+        scene_path=str(header["scene_path"]),
+        dataset_name=str(header["dataset_name"]),
+        camera=Camera(
+            str(camera["model"]),
+            int(camera["width"]),
+            int(camera["height"]),
+            tuple(float(value) for value in camera["params"]),
+        ),
+        base_from_camera=_read_floats(file, "base_from_camera", (4, 4)),
+        settings=dict(header["settings"]),
+        seed=int(header["seed"]),
+        frames=tuple(frames),
+        encoded_images=tuple(images),
+        odometry=_read_optional_states(file, "odometry", count),
+        groundtruth=_read_optional_states(file, "groundtruth", count),
+        provenance=dict(header["provenance"]),
+    )
+
+
+def _read_frame(file: SafeFile, group: str) -> tuple[FrameRecord, bytes]:
+    header = file.read_json(f"{group}/frame")
+    image = file.read_array(
+        f"{group}/image", dtype_kind="u", shape=(None,), max_bytes=MAX_IMAGE_BYTES
+    )
+    if image.dtype != np.uint8:
+        raise InputError(file.path, f"{group}/image is not made of bytes")
+    frame = FrameRecord(
+        timestamp=float(header["timestamp"]),
+        image_name=str(header["image_name"]),
+        particles=_read_floats(file, f"{group}/particles", (None, 3)),
+        log_weights=_read_floats(file, f"{group}/log_weights", (None,)),
+        estimates={
+            str(name): _read_floats(file, f"{group}/estimates/{name}", (3,))
+            for name in header["estimates"]
+        },
+        modes=_read_floats(file, f"{group}/modes", (None, 4)),
+        covariance=_read_floats(file, f"{group}/covariance", (3, 3)),
+        effective_sample_size=float(header["effective_sample_size"]),
+        confidence=float(header["confidence"]),
+        status=str(header["status"]),
+        seconds={
+            str(stage): file.attribute(f"{SECONDS_PREFIX}{stage}", float, group)
+            for stage in header["stages"]
+        },
+    )
+    return frame, image.tobytes()
+
+
+def _read_floats(file: SafeFile, name: str, shape: tuple[int | None, ...]) -> FloatArray:
+    values = file.read_array(name, dtype_kind="f", shape=shape)
+    return np.asarray(values, dtype=np.float64)
+
+
+def _read_optional_states(file: SafeFile, name: str, count: int) -> FloatArray | None:
+    return _read_floats(file, name, (count, 3)) if file.has(name) else None
+
+
+def _check_finite(name: str, values: FloatArray, shape: tuple[int, ...]) -> None:
+    if values.shape != shape:
+        raise OptionError(f"{name} has shape {values.shape} instead of {shape}")
+    if not np.all(np.isfinite(values)):
+        raise OptionError(f"{name} is not finite")
