@@ -1,0 +1,111 @@
+# The front door for people with a clone: 'make help' lists what there is.
+
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.SUFFIXES:
+
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+LFNAV := $(BIN)/lfnav
+VENV_PYTHON := $(BIN)/python
+
+# The first interpreter that is new enough; 'make install PYTHON=/path/to/python' overrides.
+NEW_ENOUGH := import sys; sys.exit(sys.version_info < (3, 11))
+PYTHON = $(shell for name in python3 python3.13 python3.12 python3.11 python; do \
+	"$$name" -c '$(NEW_ENOUGH)' >/dev/null 2>&1 && { echo "$$name"; break; }; done)
+
+DATA := sample_data
+DEMO := out/demo
+DEMO_SFM := out/demo-sfm
+DEMO_ODOMETRY := odometry.txt
+SEED := 0
+# One worker a core up to four: each compiles its own kernels, and more would wait for each other.
+TEST_WORKERS := --numprocesses auto --maxprocesses 4 --dist loadfile
+
+.PHONY: help install demo demo-sfm test test-slow test-lowest lint format bench clean
+
+help:
+	@echo "make install      a virtual environment in $(VENV) with lfnav in it"
+	@echo "make demo         the whole chain on a lobby with three equal doors -> $(DEMO)/report/report.html"
+	@echo "make demo-sfm     the same on a workshop, mapped by structure from motion -> $(DEMO_SFM)/report/report.html"
+	@echo "make experiments  many seeds and settings -> out/experiments/table.md; rebuilds only what changed"
+	@echo "make test         the test suite; 'make test-slow' runs the slow tests"
+	@echo "make lint         ruff and mypy"
+	@echo "make bench        measures the renderer"
+	@echo "make clean        removes out/ and caches; $(VENV) stays"
+
+# ---------------------------------------------------------------------------- installation
+
+install: $(STAMP)
+
+# An environment without pip is the rest of an attempt that failed; it is made anew.
+$(STAMP): pyproject.toml
+	@test -n "$(PYTHON)" || { echo "lfnav needs Python 3.11 or newer; install it or say make PYTHON=/path/to/python" >&2; exit 1; }
+	@$(VENV_PYTHON) -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
+	$(VENV_PYTHON) -m pip install --quiet --editable '.[dev]'
+	@touch $@
+
+# ---------------------------------------------------------------------------- demonstrations
+
+demo: $(STAMP)
+	@echo "== 1/5 Where was the camera when each map photo was taken? (from the wheels' odometry)"
+	$(LFNAV) reconstruct $(DATA)/elevators/map -o $(DEMO)/map --method odometry --overwrite
+	@echo "== 2/5 The scene model: photos, their poses, and the plane of the wall, found by comparing photos"
+	$(LFNAV) model $(DEMO)/map -o $(DEMO)/scene.h5 --geometry plane --overwrite
+	@echo "== 3/5 Where is the robot? A particle filter, told neither place nor heading at the start"
+	$(LFNAV) localize $(DEMO)/scene.h5 $(DATA)/elevators/test -o $(DEMO)/run.h5 --seed $(SEED) \
+		--odometry $(DATA)/elevators/test/$(DEMO_ODOMETRY) --overwrite
+	@echo "== 4/5 How far off was it? (against the ground truth, which no stage above has used)"
+	$(LFNAV) evaluate $(DEMO)/run.h5
+	@echo "== 5/5 The report"
+	$(LFNAV) report $(DEMO)/run.h5 -o $(DEMO)/report --overwrite
+	@echo "== Done. Open $(CURDIR)/$(DEMO)/report/report.html in a browser."
+
+demo-sfm: $(STAMP)
+	@echo "== 1/5 Where was the camera when each map photo was taken? (from the photos; takes minutes)"
+	$(LFNAV) reconstruct $(DATA)/workshop/map -o $(DEMO_SFM)/map --method sfm --overwrite
+	@echo "== 2/5 The scene model: photos, their poses, and the plane that fits the sparse points best"
+	$(LFNAV) model $(DEMO_SFM)/map -o $(DEMO_SFM)/scene.h5 --geometry plane --overwrite
+	@echo "== 3/5 Where is the robot? A particle filter, told neither place nor heading at the start"
+	$(LFNAV) localize $(DEMO_SFM)/scene.h5 $(DATA)/workshop/test -o $(DEMO_SFM)/run.h5 --seed $(SEED) \
+		--odometry $(DATA)/workshop/test/$(DEMO_ODOMETRY) --overwrite
+	@echo "== 4/5 How far off was it? (a workshop is no plane: one plane is the coarsest surface there is)"
+	$(LFNAV) evaluate $(DEMO_SFM)/run.h5
+	@echo "== 5/5 The report"
+	$(LFNAV) report $(DEMO_SFM)/run.h5 -o $(DEMO_SFM)/report --overwrite
+	@echo "== Done. Open $(CURDIR)/$(DEMO_SFM)/report/report.html in a browser."
+
+include experiments/experiments.mk
+
+# ---------------------------------------------------------------------------- development
+
+test: $(STAMP)
+	$(VENV_PYTHON) -m pytest $(TEST_WORKERS)
+
+test-slow: $(STAMP)
+	$(VENV_PYTHON) -m pytest -m slow
+
+# The lower bounds in pyproject.toml are the versions in this file; here they are tried.
+test-lowest:
+	$(PYTHON) -m venv --clear .venv-lowest
+	.venv-lowest/bin/python -m pip install --quiet --editable '.[dev]' --constraint .ci/lowest-versions.txt
+	.venv-lowest/bin/python -m pytest $(TEST_WORKERS)
+
+lint: $(STAMP)
+	$(VENV_PYTHON) -m ruff check .
+	$(VENV_PYTHON) -m ruff format --check .
+	$(VENV_PYTHON) -m mypy --strict
+
+format: $(STAMP)
+	$(VENV_PYTHON) -m ruff check --fix .
+	$(VENV_PYTHON) -m ruff format .
+
+bench: $(STAMP)
+	$(VENV_PYTHON) benchmarks/run.py
+
+clean:
+	rm -rf out build .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find lfnav_cli pipelines tests benchmarks experiments -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,196 @@
+"""``make experiments`` rebuilds what follows from a change, and nothing else.
+
+Runs the real Makefile on a small copy with a stand-in for ``lfnav`` that notes how it is called.
+"""
+
+import os
+import shutil
+import stat
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+# Shell, since starting Python fifty times would be most of the time that these tests take.
+STAND_IN = """#!/bin/sh
+echo "$*" >> calls.log
+if [ "$1" = evaluate ]; then
+    error='{"last5_mean": 0.04}'
+    echo "{\\"success\\": true, \\"position_error_m\\": $error, \\"heading_error_deg\\": $error,"
+    echo "\\"odometry\\": {\\"position_error_m\\": $error}, \\"seconds_per_frame\\": 0.5}"
+    exit
+fi
+command=$1
+while [ "$1" != -o ]; do shift; done
+output=$2
+case $command in
+    reconstruct) output=$output/reconstruction.json ;;
+    report) output=$output/report.html ;;
+esac
+mkdir -p "$(dirname "$output")"
+echo made > "$output"
+"""
+
+pytestmark = pytest.mark.skipif(shutil.which("make") is None, reason="needs make")
+
+
+class Workspace:
+    """A copy of the Makefile, the settings and the shape of the sample data."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.stand_in = root / "lfnav"
+
+    def fill(self) -> None:
+        """Writes the inputs."""
+        root = self.root
+        shutil.copy(ROOT / "Makefile", root)
+        shutil.copytree(ROOT / "experiments", root / "experiments")
+        for part in ("elevators/map", "elevators/test", "workshop/map", "workshop/test"):
+            folder = root / "sample_data" / part
+            (folder / "rgb").mkdir(parents=True)
+            names = ["camera.toml", "rgb.txt", "odometry.txt", "groundtruth.txt"]
+            for name in [*names, "odometry_perturbed.txt", "rgb/0000.jpg", "rgb/0001.jpg"]:
+                (folder / name).write_text("input")
+        self.stand_in.write_text(STAND_IN)
+        self.stand_in.chmod(self.stand_in.stat().st_mode | stat.S_IXUSR)
+        (root / "experiments/settings/seeds.txt").write_text("# two\n3 4\n")
+        self.age_everything()
+
+    def age_everything(self) -> None:
+        """Moves all files into the past, keeping their order, so that no clock tick is needed."""
+        files = [path for path in self.root.rglob("*") if path.is_file()]
+        for path in files:
+            state = path.stat()
+            os.utime(path, ns=(state.st_atime_ns - 10**12, state.st_mtime_ns - 10**12))
+
+    def make(self, *arguments: str) -> list[str]:
+        """Runs ``make experiments`` and returns the calls of lfnav that it made."""
+        log = self.root / "calls.log"
+        log.unlink(missing_ok=True)
+        # MAKEFLAGS of the make that runs these tests would change what this one does.
+        environment = {
+            name: value
+            for name, value in os.environ.items()
+            if name not in {"MAKEFLAGS", "MAKELEVEL", "MFLAGS"}
+        }
+        overrides = [f"LFNAV={self.stand_in}", "STAMP=", f"VENV_PYTHON={sys.executable}"]
+        result = subprocess.run(
+            ["make", "experiments", *overrides, *arguments],
+            cwd=self.root,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=60,
+        )
+        assert result.returncode == 0, result.stderr
+        return log.read_text().splitlines() if log.exists() else []
+
+    def change(self, name: str) -> None:
+        """Gives a file a newer time than everything that was made."""
+        path = self.root / name
+        assert path.is_file(), name
+        self.age_everything()
+        now = time.time_ns()
+        os.utime(path, ns=(now, now))
+
+
+@pytest.fixture(scope="module")
+def built_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    workspace = Workspace(tmp_path_factory.mktemp("workspace"))
+    workspace.fill()
+    calls = workspace.make()
+    # 2 maps, 2 models; 5 variants with 2 runs, 2 evaluations and a report each.
+    assert len(calls) == 2 + 2 + 5 * (2 + 2 + 1)
+    return workspace.root
+
+
+@pytest.fixture
+def built(built_once: Path, tmp_path: Path) -> Workspace:
+    root = tmp_path / "workspace"
+    shutil.copytree(built_once, root)
+    return Workspace(root)
+
+
+def commands(calls: list[str]) -> list[str]:
+    return sorted(call.split()[0] for call in calls)
+
+
+def test_nothing_changed_makes_nothing(built: Workspace) -> None:
+    assert built.make() == []
+
+
+def test_a_map_image_rebuilds_its_set_only(built: Workspace) -> None:
+    built.change("sample_data/elevators/map/rgb/0001.jpg")
+    calls = built.make()
+    expected = {"reconstruct": 1, "model": 1, "localize": 6, "evaluate": 6, "report": 3}
+    assert commands(calls) == sorted(name for name, n in expected.items() for _ in range(n))
+    assert not [call for call in calls if "workshop" in call]
+
+
+def test_a_test_image_leaves_the_map_alone(built: Workspace) -> None:
+    built.change("sample_data/workshop/test/rgb/0000.jpg")
+    calls = built.make()
+    expected = {"localize": 4, "evaluate": 4, "report": 2}
+    assert commands(calls) == sorted(name for name, n in expected.items() for _ in range(n))
+    assert not [call for call in calls if "elevators" in call]
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "sample_data/elevators/test/odometry_perturbed.txt",
+        "experiments/settings/elevators/odometry_perturbed.flags",
+    ],
+)
+def test_an_input_of_one_variant_rebuilds_that_variant_only(built: Workspace, name: str) -> None:
+    built.change(name)
+    calls = built.make()
+    expected = {"localize": 2, "evaluate": 2, "report": 1}
+    assert commands(calls) == sorted(kind for kind, n in expected.items() for _ in range(n))
+    assert all("elevators/odometry_perturbed/" in call for call in calls)
+
+
+def test_the_settings_of_a_model_do_not_touch_the_reconstruction(built: Workspace) -> None:
+    built.change("experiments/settings/elevators/model.flags")
+    kinds = commands(built.make())
+    assert "reconstruct" not in kinds
+    assert kinds.count("model") == 1
+    assert kinds.count("localize") == 6
+
+
+def test_settings_reach_the_command(built: Workspace) -> None:
+    name = "experiments/settings/workshop/odometry.flags"
+    (built.root / name).write_text("# a comment\n--particles 77\n--likelihood zncc\n")
+    built.change(name)
+    calls = [call for call in built.make() if call.startswith("localize")]
+    assert len(calls) == 2
+    assert all("--particles 77 --likelihood zncc" in call for call in calls)
+    assert {call.split("--seed ")[1].split()[0] for call in calls} == {"3", "4"}
+
+
+def test_another_seed_adds_its_runs_and_the_table_only(built: Workspace) -> None:
+    name = "experiments/settings/seeds.txt"
+    (built.root / name).write_text("3 4 5\n")
+    built.change(name)
+    calls = built.make()
+    assert commands(calls) == ["evaluate"] * 5 + ["localize"] * 5
+    assert all("seed-5" in call for call in calls)
+    table = (built.root / "out/experiments/table.md").read_text()
+    assert "| elevators | condensation | 3 of 3 | 0.040 | 0.04 | 0.040 | 0.50 |" in table
+
+
+def test_ground_truth_is_no_input_of_the_map(built: Workspace) -> None:
+    built.change("sample_data/elevators/map/groundtruth.txt")
+    assert built.make() == []
+
+
+def test_a_failed_stage_stops_and_is_tried_again(built: Workspace) -> None:
+    built.change("sample_data/elevators/map/odometry.txt")
+    with pytest.raises(AssertionError, match="Error"):
+        built.make("LFNAV=false")
+    assert commands(built.make()).count("reconstruct") == 1
