@@ -1,0 +1,113 @@
+"""``camera.toml``: camera model, mount on the robot, scale of the depth images."""
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.geometry.camera import Camera
+from pipelines.geometry.pose import base_from_camera_mount
+
+MAX_CAMERA_FILE_BYTES = 1024**2
+_REQUIRED_KEYS = ("model", "width", "height", "params")
+_OPTIONAL_KEYS = ("depth_scale", "mount")
+_MOUNT_KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
+
+
+@dataclass(frozen=True)
+class CameraFile:
+    """The content of a ``camera.toml``.
+
+    Attributes:
+        camera: model and calibration.
+        base_from_camera: ``(4, 4)``, the mount; None where the body is the camera.
+        depth_scale: value in a depth image / depth_scale = metres; None where not given.
+    """
+
+    camera: Camera
+    base_from_camera: FloatArray | None
+    depth_scale: float | None
+
+
+def read_camera_file(path: Path) -> CameraFile:
+    """Reads and checks a ``camera.toml``.
+
+    Raises:
+        InputError: unreadable, not TOML, a key missing, unknown or of the wrong type, an unknown
+            model, or numbers that no camera has.
+    """
+    try:
+        if path.stat().st_size > MAX_CAMERA_FILE_BYTES:
+            raise InputError(path, f"is larger than {MAX_CAMERA_FILE_BYTES} bytes")
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(path, f"cannot be read ({error.strerror or error})") from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        raise InputError(path, f"is not TOML ({error})") from error
+    _check_keys(path, table, _REQUIRED_KEYS, _OPTIONAL_KEYS, "")
+    depth_scale = _number(path, table, "depth_scale") if "depth_scale" in table else None
+    if depth_scale is not None and depth_scale <= 0.0:
+        raise InputError(path, f"depth_scale = {depth_scale:g} is not positive")
+    return CameraFile(_camera(path, table), _mount(path, table), depth_scale)
+
+
+def _camera(path: Path, table: Mapping[str, Any]) -> Camera:
+    model, params = table["model"], table["params"]
+    if not isinstance(model, str):
+        raise InputError(path, "model is not a text", 'write model = "OPENCV", for example')
+    if not isinstance(params, list):
+        raise InputError(path, "params is not a list of numbers")
+    numbers = tuple(_number(path, {"params": value}, "params") for value in params)
+    for key in ("width", "height"):
+        # TOML's true is a bool, which Python takes for the integer 1.
+        if type(table[key]) is not int:
+            raise InputError(path, f"{key} is not a whole number")
+    try:
+        return Camera(model, table["width"], table["height"], numbers)
+    except OptionError as error:
+        raise InputError(path, str(error)) from error
+
+
+def _mount(path: Path, table: Mapping[str, Any]) -> FloatArray | None:
+    if "mount" not in table:
+        return None
+    mount = table["mount"]
+    if not isinstance(mount, dict):
+        raise InputError(path, "mount is not a table", "write [mount] and its keys below")
+    _check_keys(path, mount, _MOUNT_KEYS, (), "mount.")
+    x, y, z, roll, pitch, yaw = (_number(path, mount, key, "mount.") for key in _MOUNT_KEYS)
+    return base_from_camera_mount((x, y, z), (roll, pitch, yaw))
+
+
+def _check_keys(
+    path: Path,
+    table: Mapping[str, Any],
+    required: tuple[str, ...],
+    optional: tuple[str, ...],
+    prefix: str,
+) -> None:
+    for key in required:
+        if key not in table:
+            raise InputError(path, f"{prefix}{key} is missing")
+    for key in table:
+        # A misspelt key would otherwise be ignored in silence.
+        if key not in required + optional:
+            known = ", ".join(required + optional)
+            raise InputError(path, f"unknown key {prefix}{key}", f"known are {known}")
+
+
+def _number(path: Path, table: Mapping[str, Any], key: str, prefix: str = "") -> float:
+    value = table[key]
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(path, f"{prefix}{key}: {value!r} is not a number")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise InputError(path, f"{prefix}{key}: {value!r} is not finite")
+    return number
