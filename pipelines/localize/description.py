@@ -1,0 +1,99 @@
+"""What there is to say about a run, for people and for programs."""
+
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipelines.localize.run import STATUSES, Run, load_run
+
+
+@dataclass(frozen=True)
+class RunSummary:
+    """A ``Summary`` of a run."""
+
+    path: Path
+    run: Run
+
+    def table(self) -> list[tuple[str, ...]]:
+        """Rows for people."""
+        run, last = self.run, self.run.frames[-1]
+        camera = run.camera
+        times = run.timestamps
+        counts = Counter(frame.status for frame in run.frames)
+        rows: list[tuple[str, ...]] = [
+            ("run", str(self.path)),
+            ("data set", run.dataset_name),
+            ("scene", f"{run.scene_path} ({run.scene_identifier[:12]})"),
+            ("camera", f"{camera.model} {camera.width}x{camera.height}"),
+            ("frames", f"{len(run.frames)}, {times[0]:.3f} to {times[-1]:.3f} s"),
+            ("status", ", ".join(f"{status} {counts[status]}" for status in STATUSES)),
+            ("particles, first and last frame", self._particles_text()),
+            ("estimates", ", ".join(run.estimate_names) or "none"),
+            ("last estimate", self._last_estimate_text()),
+            ("last confidence", f"{last.confidence:.2f} ({last.status})"),
+            ("seconds a frame", f"{self.seconds_per_frame():.3f}"),
+            ("odometry", "no" if run.odometry is None else "yes"),
+            ("ground truth", "no" if run.groundtruth is None else "yes"),
+            ("seed", str(run.seed)),
+        ]
+        rows += [(f"setting {name}", str(run.settings[name])) for name in sorted(run.settings)]
+        return rows
+
+    def seconds_per_frame(self) -> float:
+        """Mean wall time, all stages together."""
+        return float(np.mean([sum(frame.seconds.values()) for frame in self.run.frames]))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The same for programs."""
+        run, last = self.run, self.run.frames[-1]
+        counts = Counter(frame.status for frame in run.frames)
+        return {
+            "kind": "run",
+            "path": str(self.path),
+            "dataset": run.dataset_name,
+            "scene_path": run.scene_path,
+            "scene_identifier": run.scene_identifier,
+            "frames": len(run.frames),
+            "status": {status: counts[status] for status in STATUSES},
+            "particles": [len(frame.particles) for frame in run.frames],
+            "estimates": list(run.estimate_names),
+            "last": {
+                "timestamp_s": float(last.timestamp),
+                "estimates": {name: state.tolist() for name, state in last.estimates.items()},
+                "status": last.status,
+                "confidence": float(last.confidence),
+            },
+            "seconds_per_frame": self.seconds_per_frame(),
+            "odometry": run.odometry is not None,
+            "groundtruth": run.groundtruth is not None,
+            "seed": run.seed,
+            "settings": dict(run.settings),
+            "provenance": dict(run.provenance),
+        }
+
+    def _particles_text(self) -> str:
+        first, last = self.run.frames[0], self.run.frames[-1]
+        return f"{len(first.particles)}, {len(last.particles)}"
+
+    def _last_estimate_text(self) -> str:
+        # A frame of its own: "no pose" is an answer, the pose of an earlier frame would not be.
+        if not self.run.estimate_names:
+            return "none"
+        name = self.run.default_estimate
+        state = self.run.frames[-1].estimates.get(name)
+        if state is None:
+            return "none (lost)"
+        x, y, heading = state
+        return f"{name}: x {x:.3f} m, y {y:.3f} m, heading {np.degrees(heading):.1f} deg"
+
+
+def describe_run(path: Path) -> RunSummary:
+    """Reads a run and says what is in it.
+
+    Raises:
+        InputError: see ``load_run``.
+    """
+    return RunSummary(path, load_run(path))

@@ -1,0 +1,310 @@
+"""How far a run's estimates, and odometry alone, are from the truth.
+
+Errors are planar: the distance of the positions in metres, and the smaller angle between the
+headings in degrees. A run succeeds where both, averaged over its last frames, are small enough to
+dock from.
+No alignment is done: the scene model's world and the ground truth's are the same. Odometry knows no
+world, so its first pose is put where the truth's is.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipelines.artifacts.array_types import BoolArray, FloatArray
+from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.dataset.dataset import PAIRING_TOLERANCE
+from pipelines.geometry.pose import (
+    planar_state_of,
+    world_from_base_planar,
+    wrap_angle,
+)
+from pipelines.geometry.trajectory import Trajectory, read_tum
+from pipelines.localize.motion import compose, planar_increment
+from pipelines.localize.run import Run, load_run
+
+LAST_FRAMES = 5
+SUCCESS_POSITION_M = 0.15
+SUCCESS_HEADING_DEG = 3.0
+_COLUMNS = ("median", "rmse", "max", "last", "last5_mean")
+
+
+@dataclass(frozen=True)
+class ErrorStatistics:
+    """One kind of error over the frames of a run.
+
+    Attributes:
+        per_frame: ``(N,)``, NaN where there is no truth or no estimate.
+    """
+
+    per_frame: FloatArray
+
+    @property
+    def known(self) -> FloatArray:
+        """The errors that are known, in order of time; there is at least one."""
+        return self.per_frame[np.isfinite(self.per_frame)]
+
+    @property
+    def median(self) -> float:
+        """Of the known errors; so are the others."""
+        return float(np.median(self.known))
+
+    @property
+    def rmse(self) -> float:
+        """Root of the mean square."""
+        return float(np.sqrt(np.mean(self.known**2)))
+
+    @property
+    def max(self) -> float:
+        """The largest."""
+        return float(np.max(self.known))
+
+    @property
+    def last(self) -> float:
+        """In the last frame."""
+        return float(self.known[-1])
+
+    @property
+    def last5_mean(self) -> float:
+        """Mean over the last five frames (over all of them where there are fewer)."""
+        return float(np.mean(self.known[-LAST_FRAMES:]))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON types; unknown errors are null."""
+        figures: dict[str, Any] = {name: getattr(self, name) for name in _COLUMNS}
+        figures["per_frame"] = [
+            float(error) if np.isfinite(error) else None for error in self.per_frame
+        ]
+        return figures
+
+
+@dataclass(frozen=True)
+class TrackEvaluation:
+    """Errors of one track, the estimate's or odometry's.
+
+    Attributes:
+        position_error_m: metres.
+        heading_error_deg: degrees, in [0, 180].
+        success: the last five frames that have a truth all have an estimate, and on average it is
+            within 0.15 m and 3 degrees.
+    """
+
+    position_error_m: ErrorStatistics
+    heading_error_deg: ErrorStatistics
+    success: bool
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON types."""
+        return {
+            "position_error_m": self.position_error_m.to_dict(),
+            "heading_error_deg": self.heading_error_deg.to_dict(),
+            "success": self.success,
+        }
+
+    def rows(self, label: str) -> list[tuple[str, ...]]:
+        """Two rows for a table with the columns of the statistics."""
+        position, heading = self.position_error_m, self.heading_error_deg
+        return [
+            (f"{label}: position (m)", *(f"{getattr(position, name):.3f}" for name in _COLUMNS)),
+            (f"{label}: heading (deg)", *(f"{getattr(heading, name):.2f}" for name in _COLUMNS)),
+        ]
+
+
+@dataclass(frozen=True)
+class RunEvaluation:
+    """A ``Summary`` of how well a run went.
+
+    Attributes:
+        estimate: which of the run's estimates was judged.
+        errors: of that estimate.
+        odometry: of odometry alone; None where the run has none.
+        frames: how many frames have a truth.
+        frames_without_groundtruth: how many have none, and count for nothing.
+        frames_without_estimate: how many have a truth, but the filter gave no estimate.
+        particles: their number in the last frame.
+        seconds_per_frame: mean wall time, all stages together.
+    """
+
+    estimate: str
+    errors: TrackEvaluation
+    odometry: TrackEvaluation | None
+    frames: int
+    frames_without_groundtruth: int
+    frames_without_estimate: int
+    particles: int
+    seconds_per_frame: float
+
+    @property
+    def success(self) -> bool:
+        """Whether the estimate succeeded."""
+        return self.errors.success
+
+    def table(self) -> list[tuple[str, ...]]:
+        """Rows for people."""
+        headings = ("median", "RMSE", "max", "last", f"last {LAST_FRAMES} mean")
+        frames = str(self.frames)
+        if self.frames_without_groundtruth:
+            frames += f" (and {self.frames_without_groundtruth} without ground truth)"
+        rows = [("error", *headings), *self.errors.rows(f"estimate ({self.estimate})")]
+        if self.odometry is not None:
+            rows += self.odometry.rows("odometry alone")
+        rows.append(("success, estimate", _yes_or_no(self.success)))
+        if self.odometry is not None:
+            rows.append(("success, odometry alone", _yes_or_no(self.odometry.success)))
+        rows.append(("frames", frames))
+        if self.frames_without_estimate:
+            rows.append(("frames without an estimate", str(self.frames_without_estimate)))
+        rows.append(("particles in the last frame", str(self.particles)))
+        rows.append(("seconds a frame", f"{self.seconds_per_frame:.3f}"))
+        return rows
+
+    def to_dict(self) -> dict[str, Any]:
+        """The same for programs."""
+        return {
+            "estimate": self.estimate,
+            **self.errors.to_dict(),
+            "odometry": None if self.odometry is None else self.odometry.to_dict(),
+            "frames": self.frames,
+            "frames_without_groundtruth": self.frames_without_groundtruth,
+            "frames_without_estimate": self.frames_without_estimate,
+            "particles": self.particles,
+            "seconds_per_frame": self.seconds_per_frame,
+        }
+
+
+def evaluate_run_file(
+    run_path: Path, groundtruth_path: Path | None = None, estimate: str | None = None
+) -> RunEvaluation:
+    """Evaluates a run file, against a TUM file or the ground truth that it carries itself.
+
+    Raises:
+        InputError: a file that cannot be used, no ground truth anywhere, or none that pairs.
+        OptionError: the run has no estimate of this name.
+    """
+    run = load_run(run_path)
+    groundtruth = None if groundtruth_path is None else read_tum(groundtruth_path)
+    return evaluate_run(
+        run, groundtruth, estimate, run_path=run_path, groundtruth_path=groundtruth_path
+    )
+
+
+def evaluate_run(
+    run: Run,
+    groundtruth: Trajectory | None = None,
+    estimate: str | None = None,
+    *,
+    run_path: Path | str = "run",
+    groundtruth_path: Path | str | None = None,
+) -> RunEvaluation:
+    """Compares a run's estimates, and its odometry, with the truth.
+
+    Args:
+        run: the run.
+        groundtruth: world_from_base, paired to the frames by time; None for the run's own.
+        estimate: which estimate; None for the run's default.
+        run_path: how errors name the run.
+        groundtruth_path: how errors name the ground truth.
+
+    Raises:
+        InputError: no ground truth, none that pairs with a frame, or no estimate where there is.
+        OptionError: the run has no estimate of this name.
+    """
+    truth = _true_states(run, groundtruth, run_path, groundtruth_path)
+    has_truth = _known(truth)
+    name = run.default_estimate if estimate is None else estimate
+    estimated = run.estimated_states(name)
+    has_estimate = _known(estimated)
+    if not np.any(has_truth & has_estimate):
+        raise InputError(run_path, f"no frame with ground truth has an estimate {name!r}")
+    odometry = None
+    if run.odometry is not None:
+        odometry = _evaluate_track(odometry_states(run, truth), truth)
+    return RunEvaluation(
+        estimate=name,
+        errors=_evaluate_track(estimated, truth),
+        odometry=odometry,
+        frames=int(np.count_nonzero(has_truth)),
+        frames_without_groundtruth=int(np.count_nonzero(~has_truth)),
+        frames_without_estimate=int(np.count_nonzero(has_truth & ~has_estimate)),
+        particles=len(run.frames[-1].particles),
+        seconds_per_frame=float(np.mean([sum(frame.seconds.values()) for frame in run.frames])),
+    )
+
+
+def odometry_states(run: Run, groundtruth: FloatArray | None = None) -> FloatArray:
+    """The run's odometry in the scene's world, for display and evaluation.
+
+    It is moved as a whole so that its first pose is the true one where the truth is known, else the
+    first estimate. Where the first frame has neither, the first frame that does is used.
+
+    Args:
+        run: the run.
+        groundtruth: ``(N, 3)`` true states, NaN where unknown; None for the run's own.
+
+    Returns:
+        ``(N, 3)`` x, y (metres), heading (radians).
+
+    Raises:
+        OptionError: the run has no odometry, or neither truth nor estimate in any frame.
+    """
+    if run.odometry is None:
+        raise OptionError("the run has no odometry")
+    anchors = run.groundtruth if groundtruth is None else groundtruth
+    if anchors is None or not np.any(_known(anchors)):
+        anchors = run.estimated_states()
+    first = int(np.flatnonzero(_known(anchors))[0])
+    poses = world_from_base_planar(run.odometry)
+    motions = np.stack([planar_increment(poses[first], pose) for pose in poses])
+    return compose(anchors[first], motions)
+
+
+def _true_states(
+    run: Run,
+    groundtruth: Trajectory | None,
+    run_path: Path | str,
+    groundtruth_path: Path | str | None,
+) -> FloatArray:
+    """True states ``(N, 3)``, NaN where there is none; at least one is known."""
+    if groundtruth is None:
+        if run.groundtruth is None or not np.any(_known(run.groundtruth)):
+            raise InputError(
+                run_path, "carries no ground truth", "give a TUM file with --groundtruth"
+            )
+        return run.groundtruth
+    nearest = groundtruth.nearest(run.timestamps, PAIRING_TOLERANCE)
+    paired = nearest >= 0
+    if not np.any(paired):
+        times = run.timestamps
+        raise InputError(
+            groundtruth_path or "ground truth",
+            f"no pose lies within {PAIRING_TOLERANCE:g} s of a frame of {run_path}",
+            f"the frames are from {times[0]:.3f} to {times[-1]:.3f} s, the poses from "
+            f"{groundtruth.timestamps[0]:.3f} to {groundtruth.timestamps[-1]:.3f} s",
+        )
+    states = np.full((len(run.frames), 3), np.nan)
+    states[paired] = planar_state_of(groundtruth.poses[nearest[paired]])
+    return states
+
+
+def _evaluate_track(states: FloatArray, truth: FloatArray) -> TrackEvaluation:
+    difference = states - truth
+    position = ErrorStatistics(np.hypot(difference[:, 0], difference[:, 1]))
+    heading = ErrorStatistics(np.abs(np.degrees(wrap_angle(difference[:, 2]))))
+    # Frames in which nothing was estimated must not make room for better ones before them.
+    last = states[_known(truth)][-LAST_FRAMES:]
+    success = (
+        bool(np.all(_known(last)))
+        and position.last5_mean < SUCCESS_POSITION_M
+        and heading.last5_mean < SUCCESS_HEADING_DEG
+    )
+    return TrackEvaluation(position, heading, success)
+
+
+def _known(states: FloatArray) -> BoolArray:
+    return np.asarray(np.all(np.isfinite(states), axis=1), dtype=np.bool_)
+
+
+def _yes_or_no(value: bool) -> str:
+    return "yes" if value else "no"
