@@ -43,8 +43,16 @@ _FILTER_NAMES = {
     h5py.h5z.FILTER_FLETCHER32: "fletcher32",
 }
 _CHECKSUM_BYTES = 4
-# What h5py raises over files that break the rules of the format.
-_FORMAT_ERRORS = (OSError, KeyError, ValueError, TypeError, RuntimeError, OverflowError)
+# What h5py and zlib raise over files that break the rules of the format.
+_FORMAT_ERRORS = (
+    OSError,
+    KeyError,
+    ValueError,
+    TypeError,
+    RuntimeError,
+    OverflowError,
+    zlib.error,
+)
 
 Value = TypeVar("Value", str, int, float, bool)
 
@@ -235,19 +243,19 @@ class SafeFile:
             dataset.id.chunk_iter(found.append)
         # HDF5 would read what was never stored as zeros.
         if {tuple(chunk.chunk_offset) for chunk in found} != set(itertools.product(*steps)):
-            raise InputError(self.path, f"{name} is damaged: parts of it are missing")
+            raise self._damaged(name, "parts of it are missing")
         largest = chunk_bytes + chunk_bytes // 100 + 4096 if compressed else chunk_bytes
         for chunk in found:
             if chunk.filter_mask != 0 or chunk.size > largest + _CHECKSUM_BYTES:
-                raise InputError(self.path, f"{name} is damaged: a chunk has the wrong size")
+                raise self._damaged(name, "a chunk has the wrong size")
             # HDF5 unpacks a chunk to whatever size it has; here it ends where it has to.
             if compressed:
                 _, data = dataset.id.read_direct_chunk(chunk.chunk_offset)
                 unpacked = zlib.decompressobj().decompress(data[:-_CHECKSUM_BYTES], chunk_bytes + 1)
                 if len(unpacked) != chunk_bytes:
-                    raise InputError(self.path, f"{name} is damaged: a chunk has the wrong size")
+                    raise self._damaged(name, "a chunk has the wrong size")
 
-    def _damaged(self, name: str, error: Exception) -> InputError:
+    def _damaged(self, name: str, error: Exception | str) -> InputError:
         return InputError(self.path, f"is damaged at {name} ({error})")
 
 
