@@ -7,7 +7,7 @@ images with their times and hashes, the images that were dropped and why, statis
 import json
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any, TypeVar
@@ -252,13 +252,7 @@ def _assemble(path: Path, fields: "_Fields", model: ColmapModel) -> Reconstructi
     if np.any(np.diff(timestamps) <= 0.0):
         raise InputError(fields.path, "the timestamps of the images do not increase")
     camera_numbers = list(model.cameras)
-    image_index = {image.identifier: index for index, image in enumerate(images)}
-    tracks = model.points.tracks
-    observed = np.array([image_index[number] for number in tracks[:, 1].tolist()], dtype=np.int64)
-    pixels = np.empty((len(tracks), 2))
-    for index, image in enumerate(images):
-        own = observed == index
-        pixels[own] = image.keypoints[tracks[own, 2]]
+    observations, pixels = observations_of(model, images)
     return Reconstruction(
         method=fields.choice("method", METHODS),
         image_root=_image_root(path, fields, names[0]),
@@ -269,7 +263,7 @@ def _assemble(path: Path, fields: "_Fields", model: ColmapModel) -> Reconstructi
         camera_index=np.array([camera_numbers.index(image.camera) for image in images]),
         world_from_camera=inverse(np.array([image.camera_from_world for image in images])),
         points=model.points.positions,
-        observations=np.column_stack([tracks[:, 0], observed]),
+        observations=observations,
         base_from_camera=_mount(fields),
         scale_source=fields.choice("scale_source", SCALE_SOURCES),
         dropped=_texts(fields, "dropped"),
@@ -278,6 +272,29 @@ def _assemble(path: Path, fields: "_Fields", model: ColmapModel) -> Reconstructi
         point_colors=model.points.colors,
         point_errors=model.points.errors,
     )
+
+
+def observations_of(
+    model: ColmapModel, images: Sequence[ModelImage]
+) -> tuple[IntArray, FloatArray]:
+    """The tracks of a model by the indices of points and images.
+
+    Args:
+        model: whose tracks.
+        images: all images of the model, in the order that the indices shall follow.
+
+    Returns:
+        Rows (index of a point, index of an image), ``(M, 2)``, and where each observation lies in
+        its image, ``(M, 2)`` pixels.
+    """
+    row_of_image = {image.identifier: row for row, image in enumerate(images)}
+    tracks = model.points.tracks
+    rows = np.array([row_of_image[number] for number in tracks[:, 1].tolist()], dtype=np.int64)
+    pixels = np.empty((len(tracks), 2))
+    for row, image in enumerate(images):
+        own = rows == row
+        pixels[own] = image.keypoints[tracks[own, 2]]
+    return np.column_stack([tracks[:, 0], rows]), pixels
 
 
 class _Fields:

@@ -7,11 +7,15 @@ from typing import Any
 
 import numpy as np
 
+from pipelines.artifacts.array_types import FloatArray
 from pipelines.artifacts.atomic import check_output
-from pipelines.artifacts.errors import OptionError
+from pipelines.artifacts.errors import OptionError, StageError
 from pipelines.artifacts.progress import Progress
 from pipelines.artifacts.provenance import provenance, sha256_of_bytes, sha256_of_file
 from pipelines.dataset.dataset import Dataset, load_dataset
+from pipelines.dataset.images import decode_image
+from pipelines.geometry.pose import inverse
+from pipelines.reconstruct.alignment import Similarity, align_by_convention, align_to_odometry
 from pipelines.reconstruct.description import ReconstructionSummary
 from pipelines.reconstruct.known_poses import (
     KnownPoses,
@@ -21,73 +25,14 @@ from pipelines.reconstruct.known_poses import (
 )
 from pipelines.reconstruct.reconstruction import (
     DESCRIPTION_NAME,
-    METHODS,
     Reconstruction,
+    observations_of,
     save_reconstruction,
 )
+from pipelines.reconstruct.settings import ReconstructSettings
+from pipelines.reconstruct.sfm import index_of, structure_from_motion
 
-MATCHERS = ("auto", "sequential", "exhaustive")
-
-
-@dataclass(frozen=True)
-class ReconstructSettings:
-    """How camera poses are found.
-
-    Attributes:
-        method: "sfm", "odometry" or "poses".
-        poses: TUM file of world_from_body, for method "poses" and no other.
-        matcher: which pairs of images structure from motion compares.
-        scale: metres a unit of the model, for structure from motion without odometry.
-        seed: of all random choices of structure from motion.
-        max_features: features an image.
-        max_size: pixels; features are sought in images reduced to this longer side.
-
-    Raises:
-        OptionError: a value is impossible, or does not go with the method.
-    """
-
-    method: str
-    poses: Path | None = None
-    matcher: str = "auto"
-    scale: float | None = None
-    seed: int = 0
-    max_features: int = 4096
-    max_size: int = 960
-
-    def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise OptionError(f"unknown method {self.method!r}; known are {', '.join(METHODS)}")
-        if self.matcher not in MATCHERS:
-            raise OptionError(f"unknown matcher {self.matcher!r}; known are {', '.join(MATCHERS)}")
-        if self.method == "poses" and self.poses is None:
-            raise OptionError("--method poses needs --poses FILE")
-        if self.method != "poses" and self.poses is not None:
-            raise OptionError(f"--poses goes with --method poses, not with {self.method}")
-        if self.scale is not None and self.method != "sfm":
-            raise OptionError(f"--scale goes with --method sfm, not with {self.method}")
-        if self.scale is not None and not (math.isfinite(self.scale) and self.scale > 0.0):
-            raise OptionError(f"--scale {self.scale:g} is not a positive number")
-        if not 0 <= self.seed < 2**31:
-            raise OptionError(f"--seed {self.seed} is not in 0 to {2**31 - 1}")
-        if not 64 <= self.max_features <= 65536:
-            raise OptionError(f"--max-features {self.max_features} is not in 64 to 65536")
-        if not 64 <= self.max_size <= 16384:
-            raise OptionError(f"--max-size {self.max_size} is not in 64 to 16384")
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain JSON types, for the record; only what the method uses."""
-        if self.method == "odometry":
-            return {"method": self.method}
-        if self.method == "poses":
-            return {"method": self.method, "poses": self.poses.name if self.poses else None}
-        return {
-            "method": self.method,
-            "matcher": self.matcher,
-            "scale": self.scale,
-            "seed": self.seed,
-            "max_features": self.max_features,
-            "max_size": self.max_size,
-        }
+__all__ = ["ReconstructSettings", "reconstruct"]
 
 
 def reconstruct(
@@ -113,12 +58,14 @@ def reconstruct(
     """
     check_output(output, overwrite, DESCRIPTION_NAME)
     data = load_dataset(dataset)
-    if settings.method == "poses" and settings.poses is not None:
-        result = _from_known_poses(
-            data, settings, poses_from_file(data, settings.poses), "given poses", progress
-        )
+    if settings.method == "sfm":
+        result = _from_images(data, settings, progress)
+    elif settings.poses is not None:
+        poses = poses_from_file(data, settings.poses)
+        result = _from_known_poses(data, settings, poses, "given poses", progress)
     else:
-        result = _from_known_poses(data, settings, poses_from_odometry(data), "odometry", progress)
+        poses = poses_from_odometry(data)
+        result = _from_known_poses(data, settings, poses, "odometry", progress)
     record = provenance("reconstruct", settings.to_dict(), _inputs(data, settings, result))
     save_reconstruction(output, result, record, overwrite)
     return ReconstructionSummary(output, result)
@@ -151,12 +98,97 @@ def _from_known_poses(
     )
 
 
-def hash_images(data: Dataset, indices: list[int], progress: Progress) -> tuple[str, ...]:
-    """SHA-256 of the files of the images ``indices``."""
-    return tuple(
-        sha256_of_bytes(data.read_image_bytes(index))
-        for index in progress(indices, "hashing images", len(indices))
+def _from_images(
+    data: Dataset, settings: ReconstructSettings, progress: Progress
+) -> Reconstruction:
+    """Structure from motion, then the metric world."""
+    if settings.scale is not None and data.odometry is not None:
+        raise OptionError(f"--scale: the odometry of {data.root} gives the scale already")
+    hashes = hash_images(data, list(range(len(data))), progress)
+    found = structure_from_motion(data, settings, progress)
+    images = sorted(found.model.images, key=lambda image: index_of(image.name))
+    indices = [index_of(image.name) for image in images]
+    model_from_camera = inverse(np.array([image.camera_from_world for image in images]))
+    try:
+        placed = _place(data, settings, indices, model_from_camera)
+    except StageError as error:
+        raise StageError(f"{data.root}: {error}") from error
+    observations, pixels = observations_of(found.model, images)
+    camera_numbers = list(found.model.cameras)
+    points = found.model.points
+    return Reconstruction(
+        method=settings.method,
+        image_root=data.root.resolve(),
+        image_names=tuple(data.image_names[index] for index in indices),
+        image_hashes=tuple(hashes[index] for index in indices),
+        timestamps=data.timestamps[indices],
+        cameras=tuple(found.model.cameras.values()),
+        camera_index=np.array([camera_numbers.index(image.camera) for image in images]),
+        world_from_camera=placed.world_from_model.transform_poses(model_from_camera),
+        points=placed.world_from_model.transform_points(points.positions),
+        observations=observations,
+        base_from_camera=data.base_from_camera,
+        scale_source=placed.scale_source,
+        dropped=found.dropped,
+        statistics={**found.statistics, **placed.statistics},
+        observed_pixels=pixels,
+        point_colors=points.colors,
+        point_errors=points.errors,
     )
+
+
+@dataclass(frozen=True)
+class _Placement:
+    """How the model lies in the world, and who said so."""
+
+    world_from_model: Similarity
+    scale_source: str
+    statistics: dict[str, Any]
+
+
+def _place(
+    data: Dataset,
+    settings: ReconstructSettings,
+    indices: list[int],
+    model_from_camera: FloatArray,
+) -> _Placement:
+    """The world by odometry where there is some, else by convention."""
+    if data.odometry is None:
+        scale = 1.0 if settings.scale is None else settings.scale
+        source = "arbitrary" if settings.scale is None else "--scale"
+        return _Placement(align_by_convention(model_from_camera, scale), source, {})
+    row_of_index = {index: row for row, index in enumerate(indices)}
+    odometry = poses_from_odometry(data)
+    shared = [
+        (row_of_index[index], row)
+        for row, index in enumerate(odometry.image_index.tolist())
+        if index in row_of_index
+    ]
+    alignment = align_to_odometry(
+        model_from_camera[[row for row, _ in shared]],
+        odometry.world_from_camera[[row for _, row in shared]],
+    )
+    statistics = {
+        "alignment_images": len(shared),
+        "alignment_scale": alignment.world_from_model.scale,
+        "alignment_position_rmse_m": alignment.position_rmse,
+        "alignment_rotation_rmse_deg": math.degrees(alignment.rotation_rmse),
+    }
+    return _Placement(alignment.world_from_model, "odometry", statistics)
+
+
+def hash_images(data: Dataset, indices: list[int], progress: Progress) -> tuple[str, ...]:
+    """SHA-256 of the files of the images ``indices``; each is decoded once.
+
+    Raises:
+        InputError: an image is damaged. Structure from motion would drop it without a word.
+    """
+    hashes: list[str] = []
+    for index in progress(indices, "checking images", len(indices)):
+        content = data.read_image_bytes(index)
+        decode_image(content, data.image_path(index))
+        hashes.append(sha256_of_bytes(content))
+    return tuple(hashes)
 
 
 def _inputs(data: Dataset, settings: ReconstructSettings, result: Reconstruction) -> dict[str, str]:

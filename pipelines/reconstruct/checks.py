@@ -1,0 +1,223 @@
+"""Whether a structure-from-motion result can be trusted.
+
+pycolmap is silent where it fails: an unreadable image just is not there, a camera that only turned
+on the spot gives a full model with tiny reprojection errors. So the outcome is measured by what a
+failure changes: features and matches in the database, images and points in the model, and the
+angles under which the points were seen.
+"""
+
+import sqlite3
+from collections.abc import Iterable
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.errors import StageError
+from pipelines.geometry.pose import inverse
+from pipelines.reconstruct.colmap_model import ColmapModel
+
+MIN_IMAGES = 3
+MIN_MEDIAN_FEATURES = 50
+MIN_REGISTERED_SHARE = 0.5
+MIN_POINTS_PER_IMAGE = 20
+MIN_TRIANGULATION_ANGLE = 3.0  # degrees, median over the points of the largest angle of each
+MAX_PANORAMIC_SHARE = 0.5
+MAX_POINTS_MEASURED = 20_000
+# COLMAP's kinds of image pairs (estimators/two_view_geometry.h).
+PANORAMIC, PLANAR_OR_PANORAMIC = 5, 6
+USABLE_PAIRS = (2, 3, 4, 5, 6, 8)
+
+
+@dataclass(frozen=True)
+class DatabaseFindings:
+    """What extraction and matching left in COLMAP's database.
+
+    Attributes:
+        features: name of an image -> number of its features, for the images that have an entry.
+        verified_pairs: pairs of images that show the same features in a possible geometry.
+        panoramic_pairs: those among them that are related by a rotation alone.
+    """
+
+    features: dict[str, int]
+    verified_pairs: int
+    panoramic_pairs: int
+
+
+@dataclass(frozen=True)
+class ModelFindings:
+    """Measures of one model.
+
+    Attributes:
+        registered: images with a pose.
+        points: triangulated points.
+        median_points_per_image: points seen in an image, median over the images.
+        mean_track_length: images that see a point, mean over the points.
+        mean_reprojection_error: pixels.
+        median_triangulation_angle: degrees; median over the points of the largest angle between
+            two rays to each.
+    """
+
+    registered: int
+    points: int
+    median_points_per_image: float
+    mean_track_length: float
+    mean_reprojection_error: float
+    median_triangulation_angle: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """For the statistics of the reconstruction."""
+        return {
+            "points": self.points,
+            "median_points_per_image": self.median_points_per_image,
+            "mean_track_length": self.mean_track_length,
+            "mean_reprojection_error_px": self.mean_reprojection_error,
+            "median_triangulation_angle_deg": self.median_triangulation_angle,
+        }
+
+
+def count_rows(database: Path, table: str) -> int:
+    """Rows of a table of a database that another process is writing; 0 where not readable yet."""
+    try:
+        with closing(_open(database)) as connection:
+            # The table is one of this package's own constants.
+            row = connection.execute(f"SELECT COUNT(*) FROM {table}").fetchone()
+            return int(row[0])
+    except sqlite3.Error:
+        return 0
+
+
+def read_findings(database: Path) -> DatabaseFindings:
+    """Counts features and pairs.
+
+    Raises:
+        StageError: the database cannot be read.
+    """
+    try:
+        with closing(_open(database)) as connection:
+            features = dict(
+                connection.execute(
+                    "SELECT images.name, keypoints.rows FROM images "
+                    "JOIN keypoints ON keypoints.image_id = images.image_id"
+                ).fetchall()
+            )
+            kinds = dict(
+                connection.execute(
+                    "SELECT config, COUNT(*) FROM two_view_geometries WHERE rows > 0 "
+                    "GROUP BY config"
+                ).fetchall()
+            )
+    except sqlite3.Error as error:
+        raise StageError(f"the database of structure from motion is unreadable: {error}") from error
+    verified = sum(kinds.get(kind, 0) for kind in USABLE_PAIRS)
+    return DatabaseFindings(features, verified, kinds.get(PANORAMIC, 0))
+
+
+def _open(database: Path) -> sqlite3.Connection:
+    return sqlite3.connect(f"{database.absolute().as_uri()}?mode=ro", uri=True, timeout=1.0)
+
+
+def check_database(findings: DatabaseFindings, names: dict[str, str]) -> None:
+    """Compares the database with the images that were handed in.
+
+    Args:
+        findings: of the database.
+        names: name in the database -> name in the data set.
+
+    Raises:
+        StageError: images without features, too few features, or images that show nothing in
+            common; the error names an image.
+    """
+    counts = {own: findings.features.get(name, 0) for name, own in names.items()}
+    poorest = min(counts, key=lambda own: counts[own])
+    median = float(np.median(list(counts.values())))
+    if median < MIN_MEDIAN_FEATURES:
+        raise StageError(
+            f"too few features: {median:.0f} in the median image, {counts[poorest]} in {poorest}; "
+            f"structure from motion needs {MIN_MEDIAN_FEATURES} (are the images blurred, dark or "
+            "of bare walls?)"
+        )
+    if findings.verified_pairs == 0:
+        raise StageError(
+            f"no two of the {len(names)} images show the same features; they need about two "
+            "thirds of overlap from one to the next"
+        )
+
+
+def measure(model: ColmapModel) -> ModelFindings:
+    """Measures a model."""
+    tracks = model.points.tracks
+    per_image = [int(np.count_nonzero(image.points >= 0)) for image in model.images]
+    count = len(model.points.positions)
+    errors = model.points.errors
+    return ModelFindings(
+        registered=len(model.images),
+        points=count,
+        median_points_per_image=float(np.median(per_image)) if per_image else 0.0,
+        mean_track_length=len(tracks) / count if count else 0.0,
+        mean_reprojection_error=float(np.mean(errors)) if count else 0.0,
+        median_triangulation_angle=_median_angle(model) if count else 0.0,
+    )
+
+
+def _median_angle(model: ColmapModel) -> float:
+    """Degrees, see ``ModelFindings``; over evenly chosen points where there are very many."""
+    poses = inverse(np.array([image.camera_from_world for image in model.images]))
+    row_of_image = {image.identifier: row for row, image in enumerate(model.images)}
+    tracks, positions = model.points.tracks, model.points.positions
+    order = np.argsort(tracks[:, 0], kind="stable")
+    rows = np.array([row_of_image[number] for number in tracks[order, 1].tolist()], dtype=np.int64)
+    bounds = np.searchsorted(tracks[order, 0], np.arange(len(positions) + 1))
+    step = max(1, len(positions) // MAX_POINTS_MEASURED)
+    angles = [
+        _largest_angle(positions[point] - poses[rows[bounds[point] : bounds[point + 1]], :3, 3])
+        for point in range(0, len(positions), step)
+    ]
+    return float(np.degrees(np.median(angles)))
+
+
+def _largest_angle(rays: FloatArray) -> float:
+    """Largest angle (radians) between two of the rays ``(K, 3)``."""
+    if len(rays) < 2:
+        return 0.0
+    directions = rays / np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-300)
+    return float(np.arccos(np.clip((directions @ directions.T).min(), -1.0, 1.0)))
+
+
+def check_model(
+    findings: ModelFindings, total: int, database: DatabaseFindings, sizes: Iterable[int]
+) -> None:
+    """Judges the best model of an attempt.
+
+    Args:
+        findings: of the model.
+        total: images that were handed in.
+        database: what was found there.
+        sizes: images in each model of the attempt, this one included.
+
+    Raises:
+        StageError: too few images with a pose, too few points, or no parallax.
+    """
+    registered, pieces = findings.registered, sorted(sizes, reverse=True)
+    if registered < MIN_IMAGES or registered < MIN_REGISTERED_SHARE * total:
+        split = f"; they fall into pieces of {pieces} images" if len(pieces) > 1 else ""
+        raise StageError(
+            f"only {registered} of {total} images could be posed together{split}; more overlap "
+            "between the images or --matcher exhaustive may help"
+        )
+    panoramic = database.panoramic_pairs / max(1, database.verified_pairs)
+    angle = findings.median_triangulation_angle
+    if panoramic > MAX_PANORAMIC_SHARE or angle < MIN_TRIANGULATION_ANGLE:
+        raise StageError(
+            f"no parallax: points are seen under {angle:.1f} degrees (needed: "
+            f"{MIN_TRIANGULATION_ANGLE:.0f}) and {100 * panoramic:.0f} % of the image pairs differ "
+            "by a rotation alone; the camera has to move sideways, not turn on the spot"
+        )
+    if findings.median_points_per_image < MIN_POINTS_PER_IMAGE:
+        raise StageError(
+            f"only {findings.median_points_per_image:.0f} points in the median image could be "
+            f"triangulated; {MIN_POINTS_PER_IMAGE} are needed"
+        )

@@ -1,0 +1,347 @@
+"""Structure from motion: poses, points and, where unknown, the camera, from the images alone.
+
+This is the parent's side. The work is done by ``sfm_worker`` in a process of its own; here it is
+started and followed, and what it made is judged (``checks``).
+"""
+
+import itertools
+import json
+import logging
+import os
+import queue
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import IO, Any
+
+import pipelines
+from pipelines.artifacts.errors import InputError, StageError
+from pipelines.artifacts.progress import Progress
+from pipelines.dataset.dataset import Dataset
+from pipelines.dataset.images import image_header
+from pipelines.reconstruct.checks import (
+    MIN_IMAGES,
+    DatabaseFindings,
+    ModelFindings,
+    check_database,
+    check_model,
+    count_rows,
+    measure,
+    read_findings,
+)
+from pipelines.reconstruct.colmap_model import ColmapModel, colmap_params, read_model
+from pipelines.reconstruct.settings import ReconstructSettings
+from pipelines.reconstruct.sfm_worker import Request
+
+# Every image is compared with every other up to this number of images.
+EXHAUSTIVE_LIMIT = 40
+# Neighbours in time above it: each of the next ones, then 2, 4, 8, ... times as far.
+SEQUENTIAL_OVERLAP = 10
+# And every so many-th image with every other such one, which closes loops.
+LOOP_PERIOD = 10
+POLL_SECONDS = 0.3
+MAX_THREADS = 16
+QUOTED_CHARACTERS = 300
+ESTIMATED_CAMERA_MODEL = "SIMPLE_RADIAL"
+# Table of COLMAP's database that grows while a phase runs.
+COUNTED_TABLES = {"features": "keypoints", "matching": "two_view_geometries"}
+PHASE_TEXTS = {"features": "finding features", "matching": "matching images"}
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class StructureFromMotion:
+    """The trusted outcome.
+
+    Attributes:
+        model: images are named by their index in the data set.
+        findings: measures of the model.
+        statistics: plain JSON types.
+        dropped: name of an image without a pose -> the reason.
+    """
+
+    model: ColmapModel
+    findings: ModelFindings
+    statistics: dict[str, Any]
+    dropped: dict[str, str]
+
+
+def index_of(name: str) -> int:
+    """Index in the data set of an image of the model."""
+    return int(name.split(".", 1)[0])
+
+
+def image_pairs(count: int, matcher: str) -> list[tuple[int, int]]:
+    """Which images are compared.
+
+    Args:
+        count: number of images, in time order.
+        matcher: "exhaustive", "sequential", or "auto": exhaustive for small numbers.
+
+    Returns:
+        Pairs (i, j) with i < j, sorted, each once.
+    """
+    if matcher == "exhaustive" or (matcher == "auto" and count <= EXHAUSTIVE_LIMIT):
+        return list(itertools.combinations(range(count), 2))
+    offsets = set(range(1, SEQUENTIAL_OVERLAP + 1))
+    offsets |= {2**power for power in range(SEQUENTIAL_OVERLAP)}
+    pairs = {(i, i + offset) for i in range(count) for offset in offsets if i + offset < count}
+    pairs |= set(itertools.combinations(range(0, count, LOOP_PERIOD), 2))
+    return sorted(pairs)
+
+
+def structure_from_motion(
+    dataset: Dataset, settings: ReconstructSettings, progress: Progress
+) -> StructureFromMotion:
+    """Runs structure from motion on all images of a data set.
+
+    The camera is fixed where the data set knows it, else a SIMPLE_RADIAL camera is estimated.
+
+    Raises:
+        InputError: fewer than three images.
+        StageError: the worker crashed, or its result cannot be trusted; the data set and the
+            reason are named.
+    """
+    count = len(dataset.image_names)
+    if count < MIN_IMAGES:
+        raise InputError(
+            dataset.root, f"holds {count} images; structure from motion needs {MIN_IMAGES}"
+        )
+    with tempfile.TemporaryDirectory(prefix="lfnav_sfm_") as name:
+        folder = Path(name)
+        request = _prepare(dataset, settings, folder)
+        attempts = _work(request, folder, dataset.root, progress)
+        findings = read_findings(Path(request.database))
+        own_names = dict(zip(request.names, dataset.image_names, strict=True))
+        try:
+            check_database(findings, own_names)
+            model, measured, attempt = _best_model(attempts, count, findings)
+        except StageError as error:
+            raise StageError(f"{dataset.root}: {error}") from error
+    posed = {image.name for image in model.images}
+    dropped = {
+        own: f"structure from motion found no pose ({findings.features.get(name, 0)} features)"
+        for name, own in own_names.items()
+        if name not in posed
+    }
+    statistics = {
+        "registered": measured.registered,
+        "images": count,
+        **measured.to_dict(),
+        "mapper": attempt,
+        "pairs_compared": len(image_pairs(count, settings.matcher)),
+        "pairs_verified": findings.verified_pairs,
+        "pairs_panoramic": findings.panoramic_pairs,
+        "camera_estimated": dataset.camera is None,
+    }
+    return StructureFromMotion(model, measured, statistics, dropped)
+
+
+def _prepare(dataset: Dataset, settings: ReconstructSettings, folder: Path) -> Request:
+    """Lays out the worker's folder.
+
+    The images are linked under numbers: COLMAP orders by name and its lists cannot hold blanks.
+    """
+    images, output = folder / "images", folder / "models"
+    images.mkdir()
+    output.mkdir()
+    names = [
+        f"{index:06d}{Path(name).suffix.lower()}" for index, name in enumerate(dataset.image_names)
+    ]
+    for index, name in enumerate(names):
+        (images / name).symlink_to(dataset.image_path(index).resolve())
+    pairs = image_pairs(len(names), settings.matcher)
+    pair_file = folder / "pairs.txt"
+    pair_file.write_text("".join(f"{names[i]} {names[j]}\n" for i, j in pairs), encoding="utf-8")
+    camera = dataset.camera
+    header = image_header(dataset.read_image_bytes(0), dataset.image_path(0))
+    return Request(
+        images=str(images),
+        names=names,
+        pairs=str(pair_file),
+        database=str(folder / "database.db"),
+        output=str(output),
+        camera_model=ESTIMATED_CAMERA_MODEL if camera is None else camera.model,
+        width=header.width,
+        height=header.height,
+        camera_params=None if camera is None else list(colmap_params(camera)),
+        threads=min(MAX_THREADS, os.cpu_count() or 1),
+        seed=settings.seed,
+        max_features=settings.max_features,
+        max_size=settings.max_size,
+    )
+
+
+Attempts = list[tuple[str, list[tuple[str, int]]]]
+
+
+def _work(request: Request, folder: Path, root: Path, progress: Progress) -> Attempts:
+    """Runs the worker; the models that each attempt left, as folders and numbers of images."""
+    attempts: Attempts = []
+    pair_lines = Path(request.pairs).read_text(encoding="utf-8").splitlines()
+    totals = {"features": len(request.names), "matching": len(pair_lines)}
+    with _Worker(request, folder) as worker:
+        event = worker.next_event(root)
+        while event["phase"] != "done":
+            if event["phase"] == "models":
+                attempts.append((event["attempt"], [(p, n) for p, n in event["models"]]))
+                _log.info("%s mapping: models of %s images", *_sizes_of(attempts[-1]))
+                event = worker.next_event(root)
+                continue
+            phase = str(event["phase"])
+            text = PHASE_TEXTS.get(phase, f"mapping ({event.get('attempt', '')})")
+            total = totals.get(phase, len(request.names))
+            steps = worker.steps(COUNTED_TABLES.get(phase), total, root)
+            for _ in progress(steps, text, total):
+                pass
+            event = worker.last_event
+    return attempts
+
+
+def _sizes_of(attempt: tuple[str, list[tuple[str, int]]]) -> tuple[str, list[int]]:
+    return attempt[0], [count for _, count in attempt[1]]
+
+
+def _best_model(
+    attempts: Attempts, total: int, database: DatabaseFindings
+) -> tuple[ColmapModel, ModelFindings, str]:
+    """The model with the most images that passes the checks, its measures, its attempt."""
+    candidates = [
+        (count, path, name, [size for _, size in models])
+        for name, models in attempts
+        for path, count in models
+    ]
+    candidates.sort(key=lambda candidate: -candidate[0])
+    failures: list[StageError] = []
+    for _, path, name, sizes in candidates:
+        model = read_model(Path(path))
+        findings = measure(model)
+        try:
+            check_model(findings, total, database, sizes)
+        except StageError as error:
+            failures.append(error)
+            continue
+        return model, findings, name
+    if failures:
+        raise failures[0]
+    raise StageError(
+        f"no model: {database.verified_pairs} pairs of images match, but none of them sees the "
+        "scene from two sufficiently different places"
+    )
+
+
+class _Worker:
+    """The worker process; killed when the block ends, however it ends."""
+
+    def __init__(self, request: Request, folder: Path) -> None:
+        self.folder = folder
+        self.database = Path(request.database)
+        self.log_path = folder / "worker.log"
+        self.last_event: dict[str, Any] = {"phase": "start"}
+        self._lines: queue.Queue[str | None] = queue.Queue()
+        request_path = folder / "request.json"
+        request_path.write_text(json.dumps(asdict(request)), encoding="utf-8")
+        self._command = [
+            *(sys.executable, "-P", "-m", "pipelines.reconstruct.sfm_worker"),
+            str(request_path),
+        ]
+
+    def __enter__(self) -> "_Worker":
+        # -P and the explicit path: nothing is imported from whatever folder this runs in.
+        home = str(Path(next(iter(pipelines.__path__))).parent)
+        search = [home, *filter(None, [os.environ.get("PYTHONPATH")])]
+        with self.log_path.open("wb") as log:
+            self._process = subprocess.Popen(
+                self._command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                cwd=self.folder,
+                env={**os.environ, "PYTHONPATH": os.pathsep.join(search)},
+                text=True,
+                encoding="utf-8",
+            )
+        output = self._process.stdout
+        if output is None:
+            raise StageError("the worker for structure from motion has no output")
+        threading.Thread(target=self._read, args=(output,), daemon=True).start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.kill()
+        self._process.wait()
+        for stream in (self._process.stdin, self._process.stdout):
+            if stream is not None:
+                stream.close()
+
+    def _read(self, output: IO[str]) -> None:
+        for line in output:
+            self._lines.put(line)
+        self._lines.put(None)
+
+    def next_event(self, root: Path, timeout: float | None = None) -> dict[str, Any]:
+        """The next event; ``queue.Empty`` after ``timeout`` seconds.
+
+        Raises:
+            StageError: the worker ended before it was done.
+        """
+        line = self._lines.get(timeout=timeout)
+        if line is None:
+            raise StageError(f"{root}: {self._epitaph()}")
+        event = json.loads(line)
+        if not isinstance(event, dict) or "phase" not in event:
+            raise StageError(f"{root}: the worker for structure from motion said {line!r}")
+        if event["phase"] != "image":
+            self.last_event = event
+        return event
+
+    def steps(self, table: str | None, total: int, root: Path) -> Iterator[int]:
+        """Yields once for each finished item of a phase, until the next phase begins.
+
+        Args:
+            table: of the database, whose rows are the finished items; None: they are announced.
+            total: items at most.
+            root: the data set, for error texts.
+        """
+        done = 0
+        while True:
+            finished = done
+            try:
+                event = self.next_event(root, timeout=POLL_SECONDS)
+                if event["phase"] != "image":
+                    return
+                finished += 1
+            except queue.Empty:
+                if table is not None:
+                    finished = count_rows(self.database, table)
+            while done < min(finished, total):
+                done += 1
+                yield done
+
+    def _epitaph(self) -> str:
+        """Why the worker ended, in one line."""
+        code = self._process.wait()
+        said = _last_words(self.log_path)
+        how = f"exit code {code}"
+        if code < 0:
+            how = signal.Signals(-code).name
+            if -code == signal.SIGKILL:
+                how += ", out of memory?"
+        return f"structure from motion crashed ({how}): {said}"
+
+
+def _last_words(log_path: Path) -> str:
+    """The line of a log that tells best what went wrong."""
+    lines = log_path.read_text(encoding="utf-8", errors="replace").splitlines()
+    lines = [line.strip() for line in lines if line.strip()]
+    # glog marks errors by E and fatal ones by F and the date; stack traces begin with an @.
+    grave = [line for line in lines if line[:1] in "EF" and line[1:5].isdigit()]
+    spoken = [line for line in lines if not line.startswith(("@", "***"))]
+    chosen = (grave or spoken or ["it left no message"])[-1]
+    return chosen[:QUOTED_CHARACTERS]
