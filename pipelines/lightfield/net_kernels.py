@@ -1,0 +1,431 @@
+"""The net of recording centres, fast: the same weights as ``net``, compiled.
+
+The net of one virtual image is written as *cells*: regions of the image with three views and three
+weights that are linear in the pixel, ``weight = a x + b y + c``. A triangle is a cell; so is an
+interval of a one-dimensional net, the strip beyond an outer edge (third weight zero), and the wedge
+beyond an outer corner (one weight 1). A label image says which cell a pixel lies in.
+
+The triangulation is Bowyer's and Watson's incremental algorithm (1981) with ghost triangles: the
+corner ``GHOST`` stands for the point at infinity, so that the hull needs no artificial outer triangle.
+"""
+
+import numpy as np
+
+from pipelines.artifacts.array_types import BoolArray, FloatArray, IntArray
+from pipelines.lightfield.compiled import compiled
+from pipelines.lightfield.net import (
+    COINCIDENT_PIXELS,
+    FLATNESS_LIMIT,
+    SMALLEST_RELATIVE_DEPTH,
+)
+
+GHOST = -1
+
+
+@compiled
+def project_centre(
+    offset: FloatArray, rotation: FloatArray, intrinsics: FloatArray, corner: FloatArray
+) -> None:
+    """Writes the projection (pixels) of a centre at ``offset`` (3,) from the virtual one."""
+    x = rotation[0, 0] * offset[0] + rotation[1, 0] * offset[1] + rotation[2, 0] * offset[2]
+    y = rotation[0, 1] * offset[0] + rotation[1, 1] * offset[1] + rotation[2, 1] * offset[2]
+    z = rotation[0, 2] * offset[0] + rotation[1, 2] * offset[1] + rotation[2, 2] * offset[2]
+    smallest = max(SMALLEST_RELATIVE_DEPTH * np.sqrt(x * x + y * y + z * z), 1e-300)
+    if abs(z) < smallest:
+        z = smallest
+    corner[0] = intrinsics[0] * x / z + intrinsics[2]
+    corner[1] = intrinsics[1] * y / z + intrinsics[3]
+
+
+@compiled
+def distinct_corners(corners: FloatArray, distance: FloatArray, kept: IntArray) -> int:
+    """Writes the indices of corners that do not coincide, nearest first; returns their number."""
+    count = 0
+    for index in np.argsort(distance):
+        is_new = True
+        for other in kept[:count]:
+            gap = max(
+                abs(corners[index, 0] - corners[other, 0]),
+                abs(corners[index, 1] - corners[other, 1]),
+            )
+            if gap <= COINCIDENT_PIXELS:
+                is_new = False
+                break
+        if is_new:
+            kept[count] = index
+            count += 1
+    return count
+
+
+@compiled
+def flat_direction(
+    offsets: FloatArray, rotation: FloatArray, intrinsics: FloatArray, direction: FloatArray
+) -> bool:
+    """Whether centres at ``offsets`` (n, 3) are coplanar with the virtual one.
+
+    Writes the direction (2,) of the line on which they project, whatever the answer.
+    """
+    scatter = np.zeros((3, 3))
+    for row in range(len(offsets)):
+        for i in range(3):
+            for j in range(3):
+                scatter[i, j] += offsets[row, i] * offsets[row, j]
+    values, vectors = np.linalg.eigh(scatter)
+    normal_x, normal_y = 0.0, 0.0
+    for i in range(3):
+        normal_x += rotation[i, 0] * vectors[i, 0]
+        normal_y += rotation[i, 1] * vectors[i, 0]
+    along_x, along_y = -normal_y / intrinsics[1], normal_x / intrinsics[0]
+    length = np.sqrt(along_x * along_x + along_y * along_y)
+    if length * max(intrinsics[0], intrinsics[1]) < 1e-12:
+        direction[0], direction[1] = 1.0, 0.0
+    else:
+        direction[0], direction[1] = along_x / length, along_y / length
+    total = values[0] + values[1] + values[2]
+    return bool(values[0] <= FLATNESS_LIMIT * FLATNESS_LIMIT * total)
+
+
+@compiled
+def line_net(
+    positions: FloatArray,
+    direction: FloatArray,
+    cell_corners: IntArray,
+    cell_weights: FloatArray,
+    label: IntArray,
+) -> int:
+    """Cells of a one-dimensional net.
+
+    Args:
+        positions: (n,) of the corners along ``direction``.
+        direction: (2,) unit vector in the image.
+        cell_corners: (c, 3) receives corner indices of each cell.
+        cell_weights: (c, 3, 3) receives the coefficients a, b, c of each corner's weight.
+        label: (H, W) receives each pixel's cell.
+
+    Returns:
+        The number of cells: one below, one between any two, one above the corners.
+    """
+    order = np.argsort(positions)
+    count = len(order)
+    cell_weights[: count + 1] = 0.0
+    for cell in range(count + 1):
+        first, second = order[max(cell - 1, 0)], order[min(cell, count - 1)]
+        cell_corners[cell, 0], cell_corners[cell, 1], cell_corners[cell, 2] = first, second, second
+        width = positions[second] - positions[first]
+        if cell in (0, count) or width <= 0.0:
+            cell_weights[cell, 0, 2] = 1.0
+            continue
+        for axis in range(2):
+            cell_weights[cell, 1, axis] = direction[axis] / width
+            cell_weights[cell, 0, axis] = -direction[axis] / width
+        cell_weights[cell, 1, 2] = -positions[first] / width
+        cell_weights[cell, 0, 2] = 1.0 + positions[first] / width
+    height, image_width = label.shape
+    for y in range(height):
+        cell = 0
+        for x in range(image_width):
+            position = x * direction[0] + y * direction[1]
+            while cell < count and positions[order[cell]] <= position:
+                cell += 1
+            while cell > 0 and positions[order[cell - 1]] > position:
+                cell -= 1
+            label[y, x] = cell
+    return count + 1
+
+
+@compiled
+def _orientation(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
+    """Twice the signed area of a triangle; positive when a, b, c turn from x towards y."""
+    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+
+
+@compiled
+def _conflicts(points: FloatArray, triangle: IntArray, p: FloatArray) -> bool:
+    """Whether p lies in the circumcircle of a triangle (for a ghost: beyond its hull edge)."""
+    if triangle[2] == GHOST:
+        a, b = points[triangle[0]], points[triangle[1]]
+        side = _orientation(a, b, p)
+        if side != 0.0:
+            return side > 0.0
+        along = (p[0] - a[0]) * (b[0] - p[0]) + (p[1] - a[1]) * (b[1] - p[1])
+        return bool(along > 0.0)
+    ax, ay = points[triangle[0], 0] - p[0], points[triangle[0], 1] - p[1]
+    bx, by = points[triangle[1], 0] - p[0], points[triangle[1], 1] - p[1]
+    cx, cy = points[triangle[2], 0] - p[0], points[triangle[2], 1] - p[1]
+    determinant = (
+        (ax * ax + ay * ay) * (bx * cy - cx * by)
+        - (bx * bx + by * by) * (ax * cy - cx * ay)
+        + (cx * cx + cy * cy) * (ax * by - bx * ay)
+    )
+    return bool(determinant > 0.0)
+
+
+@compiled
+def delaunay(points: FloatArray, triangles: IntArray) -> int:
+    """Delaunay triangulation of distinct points (n, 2) that are not all on a line.
+
+    Args:
+        points: pixels.
+        triangles: (t, 3) receives corner indices, t >= 4 n; in a ghost triangle the third corner
+            is ``GHOST`` and the first two are a hull edge with the hull on its right.
+
+    Returns:
+        The number of triangles, ghosts included; 0 where all points lie on a line.
+    """
+    count = len(points)
+    third = -1
+    for candidate in range(2, count):
+        if _orientation(points[0], points[1], points[candidate]) != 0.0:
+            third = candidate
+            break
+    if third < 0:
+        return 0
+    first, second = 0, 1
+    if _orientation(points[0], points[1], points[third]) < 0.0:
+        first, second = 1, 0
+    start = (first, second, third)
+    total = 4
+    for i in range(3):
+        triangles[0, i] = start[i]
+        # Seen from outside, a hull edge runs the other way round.
+        triangles[i + 1, 0], triangles[i + 1, 1] = start[(i + 1) % 3], start[i]
+        triangles[i + 1, 2] = GHOST
+    edges = np.empty((3 * len(triangles), 2), dtype=np.int64)
+    for index in range(2, count):
+        if index != third:
+            total = _insert(points, triangles, total, index, edges)
+    return total
+
+
+@compiled
+def _insert(
+    points: FloatArray, triangles: IntArray, total: int, index: int, edges: IntArray
+) -> int:
+    """Replaces the triangles whose circumcircle holds a point by the fan from it to their rim."""
+    edge_count = 0
+    kept = 0
+    for row in range(total):
+        if not _conflicts(points, triangles[row], points[index]):
+            for i in range(3):
+                triangles[kept, i] = triangles[row, i]
+            kept += 1
+            continue
+        for i in range(3):
+            start, end = triangles[row, i], triangles[row, (i + 1) % 3]
+            # An edge between two removed triangles appears in both directions: it is no rim.
+            is_rim = True
+            for other in range(edge_count):
+                if edges[other, 0] == end and edges[other, 1] == start:
+                    edge_count -= 1
+                    edges[other, 0], edges[other, 1] = edges[edge_count, 0], edges[edge_count, 1]
+                    is_rim = False
+                    break
+            if is_rim:
+                edges[edge_count, 0], edges[edge_count, 1] = start, end
+                edge_count += 1
+    for row in range(edge_count):
+        start, end = edges[row, 0], edges[row, 1]
+        # The ghost stands last in its triangle; turning the corners keeps the orientation.
+        if start == GHOST:
+            triangles[kept, 0], triangles[kept, 1], triangles[kept, 2] = end, index, GHOST
+        elif end == GHOST:
+            triangles[kept, 0], triangles[kept, 1], triangles[kept, 2] = index, start, GHOST
+        else:
+            triangles[kept, 0], triangles[kept, 1], triangles[kept, 2] = start, end, index
+        kept += 1
+    return kept
+
+
+@compiled
+def triangle_net(
+    points: FloatArray, cell_corners: IntArray, cell_weights: FloatArray, label: IntArray
+) -> int:
+    """Cells of a two-dimensional net.
+
+    Args:
+        points: (n, 2) corners, pixels, distinct.
+        cell_corners: (c, 3) receives corner indices, c >= 4 n + 8.
+        cell_weights: (c, 3, 3) receives the coefficients of each corner's weight.
+        label: (H, W) receives each pixel's cell.
+
+    Returns:
+        The number of cells; 0 where the points lie on a line.
+    """
+    triangles = np.empty((4 * len(points) + 8, 3), dtype=np.int64)
+    total = delaunay(points, triangles)
+    if total == 0:
+        return 0
+    label[:] = -1
+    hull = np.empty((total, 2), dtype=np.int64)
+    hull_count = 0
+    cells = 0
+    for row in range(total):
+        a, b, c = triangles[row, 0], triangles[row, 1], triangles[row, 2]
+        if c == GHOST:
+            hull[hull_count, 0], hull[hull_count, 1] = a, b
+            hull_count += 1
+            continue
+        cell_corners[cells, 0], cell_corners[cells, 1], cell_corners[cells, 2] = a, b, c
+        _barycentric(points[a], points[b], points[c], cell_weights[cells])
+        _fill(points[a], points[b], points[c], cells, label)
+        cells += 1
+    return _label_outside(points, hull[:hull_count], cells, cell_corners, cell_weights, label)
+
+
+@compiled
+def _barycentric(a: FloatArray, b: FloatArray, c: FloatArray, weights: FloatArray) -> None:
+    """Writes the linear functions (3, 3) that are 1 at the own corner and 0 at the others."""
+    area = _orientation(a, b, c)
+    corners = (a, b, c)
+    for i in range(3):
+        p, q = corners[(i + 1) % 3], corners[(i + 2) % 3]
+        weights[i, 0] = (p[1] - q[1]) / area
+        weights[i, 1] = (q[0] - p[0]) / area
+        weights[i, 2] = (p[0] * q[1] - p[1] * q[0]) / area
+
+
+@compiled
+def _crossing(p: FloatArray, q: FloatArray, y: int) -> float:
+    """Where the edge p q crosses row y; the same for p q and q p, so that no cracks open."""
+    if p[1] > q[1] or (p[1] == q[1] and p[0] > q[0]):
+        p, q = q, p
+    return float(p[0] + (y - p[1]) * ((q[0] - p[0]) / (q[1] - p[1])))
+
+
+@compiled
+def _fill(a: FloatArray, b: FloatArray, c: FloatArray, cell: int, label: IntArray) -> None:
+    """Writes ``cell`` at the pixels inside a triangle, half-open towards larger x and y."""
+    height, width = label.shape
+    corners = (a, b, c)
+    top = max(0.0, np.ceil(min(a[1], b[1], c[1])))
+    bottom = min(float(height - 1), np.floor(max(a[1], b[1], c[1])))
+    for y in range(int(top), int(bottom) + 1):
+        low, high = np.inf, -np.inf
+        for i in range(3):
+            p, q = corners[i], corners[(i + 1) % 3]
+            if (p[1] <= y) != (q[1] <= y):
+                x = _crossing(p, q, y)
+                low, high = min(low, x), max(high, x)
+        if low < high and high >= 0.0 and low <= width:
+            first = int(np.ceil(max(low, 0.0)))
+            for x in range(first, int(np.ceil(min(high, float(width))))):
+                label[y, x] = cell
+
+
+@compiled
+def _label_outside(
+    points: FloatArray,
+    hull: IntArray,
+    cells: int,
+    cell_corners: IntArray,
+    cell_weights: FloatArray,
+    label: IntArray,
+) -> int:
+    """Adds the cells beyond outer edges and corners and labels the pixels outside the net."""
+    edges = len(hull)
+    for edge in range(edges):
+        first, second = hull[edge, 0], hull[edge, 1]
+        a, b = points[first], points[second]
+        dx, dy = b[0] - a[0], b[1] - a[1]
+        squared = dx * dx + dy * dy
+        strip, wedge = cells + edge, cells + edges + edge
+        for cell in (strip, wedge):
+            cell_corners[cell, 0], cell_corners[cell, 1] = first, second
+            cell_corners[cell, 2] = second
+            cell_weights[cell] = 0.0
+        cell_weights[strip, 1, 0], cell_weights[strip, 1, 1] = dx / squared, dy / squared
+        cell_weights[strip, 1, 2] = -(a[0] * dx + a[1] * dy) / squared
+        cell_weights[strip, 0, 0], cell_weights[strip, 0, 1] = -dx / squared, -dy / squared
+        cell_weights[strip, 0, 2] = 1.0 - cell_weights[strip, 1, 2]
+        cell_weights[wedge, 0, 2] = 1.0
+    for y in range(label.shape[0]):
+        for x in range(label.shape[1]):
+            if label[y, x] < 0:
+                label[y, x] = cells + _nearest_border(points, hull, float(x), float(y))
+    return cells + 2 * edges
+
+
+@compiled
+def _nearest_border(points: FloatArray, hull: IntArray, x: float, y: float) -> int:
+    """Index of the nearest hull edge's strip, or, plus their number, of a corner's wedge."""
+    edges = len(hull)
+    best, shortest = 0, np.inf
+    for edge in range(edges):
+        a, b = points[hull[edge, 0]], points[hull[edge, 1]]
+        dx, dy = b[0] - a[0], b[1] - a[1]
+        along = ((x - a[0]) * dx + (y - a[1]) * dy) / (dx * dx + dy * dy)
+        # A corner belongs to the edge that starts there; the one that ends there leaves it alone.
+        if along > 1.0:
+            continue
+        clamped = max(along, 0.0)
+        gap_x, gap_y = x - (a[0] + clamped * dx), y - (a[1] + clamped * dy)
+        squared = gap_x * gap_x + gap_y * gap_y
+        if squared < shortest:
+            shortest = squared
+            best = edge if along > 0.0 else edges + edge
+    return best
+
+
+@compiled
+def build_net(
+    centres: FloatArray,
+    virtual_centre: FloatArray,
+    rotation: FloatArray,
+    intrinsics: FloatArray,
+    visible: BoolArray,
+    cell_views: IntArray,
+    cell_weights: FloatArray,
+    label: IntArray,
+) -> int:
+    """The net of the visible views in one virtual image.
+
+    Args:
+        centres: (N, 3) of all views.
+        virtual_centre: (3,).
+        rotation: (3, 3) world_from_camera of the virtual camera.
+        intrinsics: (4,) fx, fy, cx, cy.
+        visible: (N,) views that take part.
+        cell_views: (c, 3) receives view indices, c >= 4 N + 8.
+        cell_weights: (c, 3, 3) receives weight coefficients.
+        label: (H, W) receives each pixel's cell.
+
+    Returns:
+        The number of cells; 0 where no view is visible.
+    """
+    indices = np.flatnonzero(visible)
+    count = len(indices)
+    if count == 0:
+        return 0
+    corners = np.empty((count, 2))
+    distance = np.empty(count)
+    offset = np.empty(3)
+    for number in range(count):
+        for i in range(3):
+            offset[i] = centres[indices[number], i] - virtual_centre[i]
+        project_centre(offset, rotation, intrinsics, corners[number])
+        distance[number] = np.sqrt(offset[0] ** 2 + offset[1] ** 2 + offset[2] ** 2)
+    kept = np.empty(count, dtype=np.int64)
+    kept_count = distinct_corners(corners, distance, kept)
+    points = np.empty((kept_count, 2))
+    offsets = np.empty((kept_count, 3))
+    for number in range(kept_count):
+        for i in range(2):
+            points[number, i] = corners[kept[number], i]
+        for i in range(3):
+            offsets[number, i] = centres[indices[kept[number]], i] - virtual_centre[i]
+    direction = np.empty(2)
+    flat = flat_direction(offsets, rotation, intrinsics, direction) or kept_count < 3
+    cells = 0
+    if not flat:
+        cells = triangle_net(points, cell_views, cell_weights, label)
+    if cells == 0:
+        if kept_count == 2:
+            dx, dy = points[1, 0] - points[0, 0], points[1, 1] - points[0, 1]
+            length = np.sqrt(dx * dx + dy * dy)
+            direction[0], direction[1] = dx / length, dy / length
+        positions = points[:, 0] * direction[0] + points[:, 1] * direction[1]
+        cells = line_net(positions, direction, cell_views, cell_weights, label)
+    for cell in range(cells):
+        for i in range(3):
+            cell_views[cell, i] = indices[kept[cell_views[cell, i]]]
+    return cells

@@ -1,0 +1,146 @@
+"""The scene model: photos with poses and the surface that they show.
+
+The light field of Heigl, Denzler, Niemann (2001), section 2: views are rendered directly from the
+recorded photos via a scene surface; no resampling to a regular grid takes place.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipelines.artifacts.array_types import FloatArray, ImageArray, IntArray
+from pipelines.artifacts.errors import InputError
+from pipelines.dataset.images import decode_image
+from pipelines.geometry.camera import Camera
+from pipelines.geometry.plane import Plane
+
+
+@dataclass(frozen=True)
+class PlaneEstimate:
+    """A plane together with how sure it is.
+
+    Attributes:
+        plane: in world coordinates, normal towards the cameras.
+        offset_sigma: standard deviation of the distance from the cameras to the plane, metres.
+        angle_sigma: standard deviation of the normal's direction, radians.
+        method: "given", "points" or "photos".
+        quality: for "points" the share of the points that lie on the plane; for "photos" the mean
+            normalised cross-correlation between neighbouring photos mapped over the plane; else 1.
+    """
+
+    plane: Plane
+    offset_sigma: float
+    angle_sigma: float
+    method: str
+    quality: float
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A light field of N views.
+
+    Attributes:
+        image_names: N names, for people.
+        encoded_images: N JPEG or PNG files as recorded.
+        timestamps: ``(N,)`` seconds.
+        cameras: the cameras that took them.
+        camera_index: ``(N,)`` index into ``cameras``.
+        world_from_camera: ``(N, 4, 4)``.
+        surface: the plane that stands for the scene's surface.
+        base_from_camera: ``(4, 4)`` mount of the recording robot; None where the map was not made by
+            a robot.
+        bounds: ``(4,)`` x_min, x_max, y_min, y_max in metres: where on the ground a robot can stand
+            and see what the views show.
+        scale_source: where the metric scale comes from, as the reconstruction states it.
+        identifier: hash of the content; a run names the scene that it belongs to by it.
+    """
+
+    image_names: tuple[str, ...]
+    encoded_images: tuple[bytes, ...]
+    timestamps: FloatArray
+    cameras: tuple[Camera, ...]
+    camera_index: IntArray
+    world_from_camera: FloatArray
+    surface: PlaneEstimate
+    base_from_camera: FloatArray | None
+    bounds: FloatArray
+    scale_source: str
+    identifier: str
+
+    def __len__(self) -> int:
+        return len(self.image_names)
+
+    @property
+    def plane(self) -> Plane:
+        """The scene's surface."""
+        return self.surface.plane
+
+    def camera_of(self, index: int) -> Camera:
+        """The camera that took view ``index``."""
+        return self.cameras[int(self.camera_index[index])]
+
+    def image(self, index: int) -> ImageArray:
+        """Decodes view ``index``: ``(height, width, 3)`` RGB, as recorded (not undistorted).
+
+        Raises:
+            InputError: the stored photo cannot be decoded or has another size than its camera.
+        """
+        image = decode_image(self.encoded_images[index], self.image_names[index])
+        camera = self.camera_of(index)
+        if image.shape[:2] != (camera.height, camera.width):
+            raise InputError(
+                self.image_names[index],
+                f"stored photo is {image.shape[1]}x{image.shape[0]}, "
+                f"its camera {camera.width}x{camera.height}",
+            )
+        return image
+
+
+def covered_bounds(
+    world_from_camera: FloatArray, cameras: list[Camera], plane: Plane, margin: float = 0.5
+) -> FloatArray:
+    """The ground rectangle from which the views' part of the surface can be seen.
+
+    It spans the recording positions (plus ``margin``) and the parts of the surface that the photos
+    show, since a robot may stand anywhere between them. Surface farther than three times the median
+    distance is left out: a ray that grazes the plane meets it arbitrarily far away.
+
+    Args:
+        world_from_camera: ``(N, 4, 4)``.
+        cameras: the camera of each view.
+        plane: the surface.
+        margin: metres around the recording positions.
+
+    Returns:
+        ``(4,)`` x_min, x_max, y_min, y_max in metres.
+    """
+    centres = world_from_camera[:, :3, 3]
+    directions = []
+    for pose, camera in zip(world_from_camera, cameras, strict=True):
+        pinhole = camera.intrinsics
+        columns, rows = np.meshgrid(
+            np.linspace(0, pinhole.width - 1, 9), np.linspace(0, pinhole.height - 1, 7)
+        )
+        rays = np.stack(
+            [
+                (columns - pinhole.cx) / pinhole.fx,
+                (rows - pinhole.cy) / pinhole.fy,
+                np.ones_like(rows),
+            ],
+            axis=-1,
+        ).reshape(-1, 3)
+        directions.append(rays @ pose[:3, :3].T)
+    rays = np.stack(directions)  # [N, R, 3]
+    height = plane.signed_distance(centres)[:, None]
+    approach = -(rays @ plane.normal)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = np.where(approach > 1e-9, height / approach, np.inf)
+    hits = np.isfinite(distance) & (distance > 0.0)
+    spread = centres[:, :2]
+    corners = [spread.min(axis=0) - margin, spread.max(axis=0) + margin]
+    if np.any(hits):
+        near = hits & (distance <= 3.0 * np.median(distance[hits]))
+        points = (centres[:, None, :] + distance[..., None] * rays)[near][:, :2]
+        corners += [points.min(axis=0), points.max(axis=0)]
+    low, high = np.min(corners, axis=0), np.max(corners, axis=0)
+    return np.array([low[0], high[0], low[1], high[1]])

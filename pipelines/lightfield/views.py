@@ -1,0 +1,164 @@
+"""The photos as the renderers use them: undistorted, in area-averaged pyramids, in one buffer.
+
+A view is sampled at the pyramid level whose pixels are about as large as those of the virtual image,
+so that a photo seen from afar is averaged and not point-sampled (Williams 1983, "Pyramidal
+parametrics").
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from pipelines.artifacts.array_types import FloatArray, ImageArray, IntArray
+from pipelines.artifacts.progress import Progress, no_progress
+from pipelines.geometry.camera import Camera, Intrinsics, Undistorter
+from pipelines.geometry.pose import inverse
+from pipelines.lightfield.scene import Scene
+
+SMALLEST_LEVEL_SIDE = 8
+
+
+@dataclass(frozen=True)
+class Views:
+    """N posed pinhole photos with their pyramids.
+
+    Attributes:
+        texels: ``(T, 4)`` uint8, RGB and a pad byte (a pixel is one aligned 32-bit read): all levels
+            of all views, row by row.
+        level_start: ``(N, L)`` index of a level's first texel.
+        level_size: ``(N, L, 2)`` width and height of each level; level 0 is the finest. Views with
+            fewer levels repeat their last one.
+        intrinsics: pinhole intrinsics of level 0 of each view.
+        projection: ``(N, 3, 4)`` world points to homogeneous pixels of level 0.
+        centres: ``(N, 3)`` recording centres, world coordinates.
+    """
+
+    texels: ImageArray
+    level_start: IntArray
+    level_size: IntArray
+    intrinsics: tuple[Intrinsics, ...]
+    projection: FloatArray
+    centres: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.centres)
+
+    def level(self, view: int, level: int) -> ImageArray:
+        """``(height, width, 3)`` RGB of one pyramid level of one view."""
+        width, height = self.level_size[view, level]
+        start = self.level_start[view, level]
+        flat = self.texels[start : start + width * height]
+        return flat.reshape(height, width, 4)[..., :3]
+
+
+def build_views(
+    images: Sequence[ImageArray], intrinsics: Sequence[Intrinsics], world_from_camera: FloatArray
+) -> Views:
+    """Builds the pyramids of pinhole photos.
+
+    Args:
+        images: N images ``(height, width, 3)``, RGB.
+        intrinsics: of each image.
+        world_from_camera: ``(N, 4, 4)``.
+    """
+    pyramids = [_pyramid(image) for image in images]
+    level_count = max(len(pyramid) for pyramid in pyramids)
+    level_start = np.zeros((len(pyramids), level_count), dtype=np.int64)
+    level_size = np.zeros((len(pyramids), level_count, 2), dtype=np.int64)
+    texels = np.zeros((sum(p.shape[0] * p.shape[1] for q in pyramids for p in q), 4), np.uint8)
+    position = 0
+    for view, pyramid in enumerate(pyramids):
+        for level, image in enumerate(pyramid):
+            height, width = image.shape[:2]
+            level_start[view, level:] = position
+            level_size[view, level:] = width, height
+            texels[position : position + width * height, :3] = image.reshape(-1, 3)
+            position += width * height
+    camera_from_world = inverse(world_from_camera)
+    matrices = np.stack([pinhole.matrix() for pinhole in intrinsics])
+    return Views(
+        texels,
+        level_start,
+        level_size,
+        tuple(intrinsics),
+        matrices @ camera_from_world[:, :3, :],
+        np.ascontiguousarray(world_from_camera[:, :3, 3]),
+    )
+
+
+def views_of_scene(
+    scene: Scene, largest_side: int | None = None, progress: Progress = no_progress
+) -> Views:
+    """Decodes and undistorts a scene's photos.
+
+    Args:
+        scene: the light field.
+        largest_side: photos are area-averaged until their longer side has at most so many pixels;
+            None keeps them as recorded.
+        progress: shown while decoding.
+    """
+    undistorters = [Undistorter(camera) for camera in scene.cameras]
+    images, intrinsics = [], []
+    for index in progress(range(len(scene)), "decode views", len(scene)):
+        undistorter = undistorters[int(scene.camera_index[index])]
+        image, pinhole = shrink(
+            undistorter(scene.image(index)), undistorter.intrinsics, largest_side
+        )
+        images.append(image)
+        intrinsics.append(pinhole)
+    return build_views(images, intrinsics, scene.world_from_camera)
+
+
+def shrink(
+    image: ImageArray, intrinsics: Intrinsics, largest_side: int | None
+) -> tuple[ImageArray, Intrinsics]:
+    """Area-averages an image until its longer side has at most ``largest_side`` pixels."""
+    longer = max(intrinsics.width, intrinsics.height)
+    if largest_side is None or longer <= largest_side:
+        return image, intrinsics
+    scale = largest_side / longer
+    smaller = intrinsics.resized(
+        max(1, round(intrinsics.width * scale)), max(1, round(intrinsics.height * scale))
+    )
+    return area_average(image, smaller.width, smaller.height), smaller
+
+
+def area_average(image: ImageArray, width: int, height: int) -> ImageArray:
+    """The image ``(h, w, 3)`` with each new pixel the mean of the area that it covers."""
+    resized = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+    return np.asarray(resized, dtype=np.uint8)
+
+
+def pinhole_query(
+    image: ImageArray, camera: Camera, undistorter: Undistorter, width: int
+) -> tuple[ImageArray, Intrinsics]:
+    """A camera image as the comparison wants it: undistorted and area-averaged.
+
+    Args:
+        image: ``(height, width, 3)`` RGB as recorded.
+        camera: the camera that took it.
+        undistorter: of that camera (its tables are made once, not for every image).
+        width: of the result, pixels; the height keeps the aspect ratio.
+
+    Returns:
+        The image and its pinhole intrinsics.
+    """
+    intrinsics = query_intrinsics(camera, undistorter, width)
+    return area_average(undistorter(image), intrinsics.width, intrinsics.height), intrinsics
+
+
+def query_intrinsics(camera: Camera, undistorter: Undistorter, width: int) -> Intrinsics:
+    """Pinhole intrinsics of ``camera`` at ``width`` pixels, never more than it recorded."""
+    width = min(width, camera.width)
+    height = max(1, round(camera.height * width / camera.width))
+    return undistorter.intrinsics.resized(width, height)
+
+
+def _pyramid(image: ImageArray) -> list[ImageArray]:
+    levels = [image]
+    while min(levels[-1].shape[:2]) >= 2 * SMALLEST_LEVEL_SIDE:
+        height, width = levels[-1].shape[:2]
+        levels.append(area_average(levels[-1], (width + 1) // 2, (height + 1) // 2))
+    return levels
