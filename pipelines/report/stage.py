@@ -1,0 +1,178 @@
+"""The stage ``report``: from a run and its scene to a folder with a page and figures."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pipelines.artifacts.atomic import atomic_folder, check_output
+from pipelines.artifacts.errors import InputError, LfnavError, OptionError
+from pipelines.artifacts.progress import Progress, no_progress
+from pipelines.lightfield.bundle import load_scene
+from pipelines.lightfield.renderer import Renderer
+from pipelines.lightfield.scene import Scene
+from pipelines.localize.run import Run, check_run_belongs_to, load_run, locate_scene
+from pipelines.report.content import page_of
+from pipelines.report.figures import Content, frame_figure, overview_figure, pdf_of, png_of
+from pipelines.report.page import html_of
+from pipelines.report.style import figure_style
+from pipelines.report.surroundings import surroundings_of
+from pipelines.report.time_plots import time_figure
+from pipelines.report.tracks import tracks_of
+from pipelines.report.verdict import Verdict
+from pipelines.report.views import MAX_PICTURE_SIDE, ViewMaker
+
+PAGE_NAME = "report.html"
+FIGURE_FOLDER = "figures"
+
+
+@dataclass(frozen=True)
+class ReportSettings:
+    """What to show.
+
+    Attributes:
+        frames: numbers of the frames to show, from 0; None for the first, middle and last.
+        estimate: which of the run's estimates to show; None for the run's own choice.
+        scene: the scene file; None for the one that the run names.
+    """
+
+    frames: tuple[int, ...] | None = None
+    estimate: str | None = None
+    scene: Path | None = None
+
+
+@dataclass(frozen=True)
+class ReportSummary:
+    """What was written.
+
+    Attributes:
+        folder: the report's folder.
+        frames: the frames shown.
+        files: names in the folder.
+        verdict: the page's first line.
+    """
+
+    folder: Path
+    frames: tuple[int, ...]
+    files: tuple[str, ...]
+    verdict: Verdict
+
+    def table(self) -> list[tuple[str, ...]]:
+        """Rows for people."""
+        return [
+            ("report", ""),
+            ("page", str(self.folder / PAGE_NAME)),
+            ("figures", f"{len(self.files) - 1} files in {self.folder / FIGURE_FOLDER}"),
+            ("frames shown", ", ".join(str(index) for index in self.frames)),
+            ("verdict", self.verdict.sentence),
+        ]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The same for programs."""
+        return {
+            "page": str(self.folder / PAGE_NAME),
+            "files": list(self.files),
+            "frames": list(self.frames),
+            "verdict": {"kind": self.verdict.kind, "sentence": self.verdict.sentence},
+        }
+
+
+def report(
+    run_path: Path,
+    output: Path,
+    settings: ReportSettings,
+    *,
+    overwrite: bool = False,
+    progress: Progress = no_progress,
+) -> ReportSummary:
+    """Writes ``report.html`` and ``figures/`` about a run into the folder ``output``.
+
+    The same files give the same report, byte for byte.
+
+    Raises:
+        InputError: a file that cannot be used, a scene that the run does not belong to, or an
+            output that exists.
+        OptionError: a frame or an estimate that the run does not have.
+    """
+    check_output(output, overwrite, PAGE_NAME)
+    run = load_run(run_path)
+    scene = _matching_scene(run, run_path, settings.scene)
+    indices = chosen_frames(settings.frames, len(run.frames))
+    content = _content(run, run_path, scene, indices, settings.estimate, progress)
+    figures = _drawn(content, progress)
+    page = page_of(content, scene, {name: png for name, (png, _) in figures.items()})
+    with atomic_folder(output, overwrite, PAGE_NAME) as folder:
+        (folder / PAGE_NAME).write_text(html_of(page), encoding="utf-8")
+        (folder / FIGURE_FOLDER).mkdir()
+        files = [PAGE_NAME]
+        for name, (png, pdf) in figures.items():
+            for suffix, data in ((".png", png), (".pdf", pdf)):
+                (folder / FIGURE_FOLDER / f"{name}{suffix}").write_bytes(data)
+                files.append(f"{FIGURE_FOLDER}/{name}{suffix}")
+    return ReportSummary(output, indices, tuple(files), page.verdict)
+
+
+def chosen_frames(wanted: tuple[int, ...] | None, count: int) -> tuple[int, ...]:
+    """The frames to show of ``count``, in order and each once.
+
+    Raises:
+        OptionError: a number that is not a frame.
+    """
+    if wanted is None:
+        return tuple(sorted({0, (count - 1) // 2, count - 1}))
+    if not wanted:
+        raise OptionError("no frame to show; give at least one, for example --frames 0")
+    for index in wanted:
+        if not 0 <= index < count:
+            raise OptionError(f"the run has no frame {index}; its frames are 0 to {count - 1}")
+    return tuple(sorted(set(wanted)))
+
+
+def _matching_scene(run: Run, run_path: Path, given: Path | None) -> Scene:
+    path = locate_scene(run, run_path) if given is None else given
+    if given is None and not path.is_file():
+        raise InputError(
+            path,
+            f"is not there, but {run_path} was made with it",
+            "say where the scene is now with --scene",
+        )
+    scene = load_scene(path)
+    check_run_belongs_to(run, scene.identifier, run_path, path)
+    return scene
+
+
+def _content(
+    run: Run,
+    run_path: Path,
+    scene: Scene,
+    indices: tuple[int, ...],
+    estimate: str | None,
+    progress: Progress,
+) -> Content:
+    tracks = tracks_of(run, estimate)
+    maker = ViewMaker(run, Renderer.of_scene(scene, MAX_PICTURE_SIDE))
+    views = {}
+    for index in progress(indices, "views", len(indices)):
+        odometry = None if tracks.odometry is None else tracks.odometry[index]
+        try:
+            views[index] = maker.views(index, tracks.estimated[index], odometry)
+        except LfnavError as error:
+            raise InputError(run_path, f"frame {index} cannot be shown ({error})") from error
+    clouds = [run.frames[index].particles for index in indices]
+    return Content(run, tracks, surroundings_of(scene, tracks, clouds), views)
+
+
+def _drawn(content: Content, progress: Progress) -> dict[str, tuple[bytes, bytes]]:
+    """Name -> PNG and PDF of each figure, in the order of the page."""
+    indices = list(content.views)
+    names = ["overview", "curves", *(f"frame_{index:04d}" for index in indices)]
+    drawn = {}
+    with figure_style():
+        for name in progress(names, "figures", len(names)):
+            if name == "overview":
+                figure = overview_figure(content)
+            elif name == "curves":
+                figure = time_figure(content.run, content.tracks, indices)
+            else:
+                figure = frame_figure(content, int(name.removeprefix("frame_")))
+            drawn[name] = (png_of(figure), pdf_of(figure))
+    return drawn

@@ -1,0 +1,80 @@
+"""Colours, fonts and line styles that all figures share.
+
+The colours are those of Okabe and Ito (2008), which people with any common colour blindness can
+tell apart; each meaning also has its own line style or marker, for print in grey.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import matplotlib as mpl
+
+ESTIMATE = "#0072B2"
+ODOMETRY = "#D55E00"
+TRUTH = "#009E73"
+RECORDING = "#56B4E9"
+MODE = "#E69F00"
+SURFACE = "#404040"
+SURFACE_BACK = "#D9D9D9"
+TEXT = "#1A1A1A"
+FAINT = "#6B6B6B"
+
+# The two colours of the stripes on pixels that no recorded view covers. They appear in no photo of
+# an ordinary place side by side, so that nobody takes them for scene content.
+UNCOVERED_LIGHT = (250, 240, 246)
+UNCOVERED_DARK = (204, 121, 167)
+
+# Shade and hatch behind the curves while the filter is in a state. Tracking is the normal case.
+STATUS_SHADE = {"global": ("#F6E8B1", ""), "lost": ("#F3B9A0", "//"), "tracking": ("#FFFFFF", "")}
+UNKNOWN_STATUS_SHADE = ("#E0E0E0", "..")
+STATUS_MEANING = {
+    "global": "global: still searching",
+    "lost": "lost: says it does not know",
+    "tracking": "tracking",
+}
+
+# The stages of a frame's time, in the order of the stack; others follow in grey.
+STAGE_COLOURS = {
+    "prepare": "#999999",
+    "motion": "#56B4E9",
+    "likelihood": "#0072B2",
+    "resampling": "#E69F00",
+    "estimate": "#009E73",
+}
+OTHER_STAGE_COLOURS = ("#CC79A7", "#F0E442", "#000000", "#C8C8C8")
+
+PNG_DPI = 120
+PDF_DPI = 220
+
+_SETTINGS: dict[str, Any] = {
+    "font.family": ["DejaVu Sans"],
+    "font.size": 10.0,
+    "axes.titlesize": 10.0,
+    "axes.labelsize": 10.0,
+    "xtick.labelsize": 9.0,
+    "ytick.labelsize": 9.0,
+    "legend.fontsize": 10.0,
+    "axes.linewidth": 0.8,
+    "axes.edgecolor": FAINT,
+    "axes.labelcolor": TEXT,
+    "text.color": TEXT,
+    "xtick.color": TEXT,
+    "ytick.color": TEXT,
+    "hatch.linewidth": 0.8,
+    # Names come from other people's files: "$" must not start a formula there.
+    "text.parse_math": False,
+}
+
+
+@contextmanager
+def figure_style() -> Iterator[None]:
+    """Draws inside this block look the same whatever the user's own matplotlib settings are."""
+    keep = {"backend", "backend_fallback", "interactive", "toolbar", "timezone"}
+    defaults: dict[Any, Any] = {
+        name: value
+        for name, value in mpl.rcParamsDefault.items()
+        if name not in keep and not name.startswith(("webagg", "keymap", "savefig.directory"))
+    }
+    with mpl.rc_context({**defaults, **_SETTINGS}):
+        yield

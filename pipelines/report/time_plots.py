@@ -1,0 +1,278 @@
+"""Curves over the frames: errors with the claimed spread, particles, confidence, time."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullFormatter
+
+from pipelines.artifacts.array_types import FloatArray
+from pipelines.geometry.pose import wrap_angle
+from pipelines.localize.run import Run
+from pipelines.report import style
+from pipelines.report.tracks import Tracks
+
+FIGURE_WIDTH = 13.0
+PANEL_HEIGHT = 1.75
+# From this ratio of largest to median on, a linear axis would press the interesting part flat.
+LOG_RATIO = 12.0
+# Metres or radians; below lies rounding.
+SAME_PLACE = 1e-6
+
+
+@dataclass(frozen=True)
+class _Curve:
+    """Values ``(N,)`` in metres or radians, and how to draw them."""
+
+    values: FloatArray
+    label: str
+    colour: str
+    line: str
+    marker: str
+
+
+def time_figure(run: Run, tracks: Tracks, indices: Sequence[int]) -> Figure:
+    """All curves of a run below each other, over one common frame axis.
+
+    Args:
+        run: at least one frame.
+        tracks: the run's paths.
+        indices: frames shown elsewhere; marked by thin vertical lines.
+    """
+    figure = Figure(figsize=(FIGURE_WIDTH, 5 * PANEL_HEIGHT + 1.3))
+    grid = figure.add_gridspec(
+        5, 1, left=0.075, right=0.80, top=1 - 0.62 / figure.get_figheight(),
+        bottom=0.6 / figure.get_figheight(), hspace=0.16,
+    )  # fmt: skip
+    panels = [figure.add_subplot(grid[row, 0]) for row in range(5)]
+    _draw_deviation(panels[0], run, tracks, heading=False)
+    _draw_deviation(panels[1], run, tracks, heading=True)
+    _draw_particles(panels[2], run)
+    _draw_confidence(panels[3], run)
+    _draw_seconds(panels[4], run)
+    for panel in panels:
+        _finish_panel(panel, run, indices, bottom=panel is panels[-1])
+    _add_time_axis(panels[0], run)
+    figure.align_ylabels(panels)
+    return figure
+
+
+def claimed_sigmas(run: Run) -> tuple[FloatArray, FloatArray]:
+    """The filter's own standard deviations, ``(N,)`` each: position in metres, heading in radians.
+
+    The position's is that of the distance: the root of the sum of the variances of x and y.
+    """
+    variances = np.array([np.diag(frame.covariance) for frame in run.frames])
+    variances = np.clip(variances, 0.0, None)
+    return np.sqrt(variances[:, 0] + variances[:, 1]), np.sqrt(variances[:, 2])
+
+
+def _draw_deviation(axes: Axes, run: Run, tracks: Tracks, *, heading: bool) -> None:
+    """Errors against ground truth; without it, how far estimate and odometry disagree."""
+    frames = np.arange(len(run.frames))
+    sigma = claimed_sigmas(run)[1 if heading else 0]
+    curves = _deviations(tracks, heading)
+    shown = np.concatenate([curve.values for curve in curves] or [sigma])
+    scale, unit = _heading_unit() if heading else _length_unit(np.append(shown, sigma))
+    for factor, alpha in ((2.0, 0.16), (1.0, 0.22)):
+        axes.fill_between(
+            frames,
+            0.0,
+            factor * sigma * scale,
+            step="mid",
+            color=style.ESTIMATE,
+            alpha=alpha,
+            linewidth=0.0,
+            label=f"claimed by the filter: {factor:.0f} σ",
+        )
+    for curve in curves:
+        axes.plot(
+            frames,
+            # Odometry's first error is zero because it is put there; that is no measurement.
+            np.where(curve.values > SAME_PLACE, curve.values * scale, np.nan),
+            curve.line,
+            color=curve.colour,
+            marker=curve.marker,
+            markersize=4.0,
+            linewidth=1.6,
+            label=curve.label,
+        )
+    axes.set_ylabel(_deviation_label(tracks, heading, unit))
+    _scale_deviation(axes, shown[shown > SAME_PLACE] * scale)
+
+
+def _deviations(tracks: Tracks, heading: bool) -> list[_Curve]:
+    """Errors of estimate and odometry; without ground truth how far the two lie apart."""
+    curves = []
+    for errors, label, colour, line, marker in (
+        (tracks.estimate_errors, "estimate", style.ESTIMATE, "-", "o"),
+        (tracks.odometry_errors, "odometry alone", style.ODOMETRY, "--", "^"),
+    ):
+        if errors is not None:
+            degrees, metres = errors.heading_error_deg.per_frame, errors.position_error_m.per_frame
+            values = np.radians(degrees) if heading else metres
+            curves.append(_Curve(values, label, colour, line, marker))
+    if not curves and tracks.odometry is not None:
+        apart = tracks.estimated - tracks.odometry
+        values = np.abs(wrap_angle(apart[:, 2])) if heading else np.hypot(apart[:, 0], apart[:, 1])
+        curves.append(_Curve(values, "estimate and odometry apart", style.FAINT, "-", "s"))
+    return curves
+
+
+def _deviation_label(tracks: Tracks, heading: bool, unit: str) -> str:
+    what = "heading" if heading else "position"
+    if tracks.evaluation is None:
+        return f"{what} spread, {unit}\n(errors unknown)"
+    return f"{what} error\nin {unit}"
+
+
+def _heading_unit() -> tuple[float, str]:
+    return float(np.degrees(1.0)), "degrees"
+
+
+def _length_unit(lengths: FloatArray) -> tuple[float, str]:
+    """Factor and name: centimetres where most values are below a metre."""
+    finite = lengths[np.isfinite(lengths)]
+    if len(finite) == 0 or float(np.median(finite)) < 1.0:
+        return 100.0, "cm"
+    return 1.0, "m"
+
+
+def _scale_deviation(axes: Axes, values: FloatArray) -> None:
+    """Linear from zero, or logarithmic where a few values are far above the others."""
+    if len(values) == 0:
+        axes.set_ylim(bottom=0.0)
+        return
+    if values.max() < LOG_RATIO * np.median(values):
+        axes.set_ylim(0.0, 1.25 * values.max())
+        return
+    low = max(float(np.quantile(values, 0.1)) / 3.0, float(values.max()) * 1e-4)
+    axes.set_yscale("log")
+    axes.set_ylim(low, 2.5 * values.max())
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def _draw_particles(axes: Axes, run: Run) -> None:
+    frames = np.arange(len(run.frames))
+    numbers = np.array([len(frame.log_weights) for frame in run.frames])
+    effective = np.array([frame.effective_sample_size for frame in run.frames])
+    axes.plot(
+        frames,
+        numbers,
+        color="#4D4D4D",
+        drawstyle="steps-mid",
+        linewidth=1.6,
+        label="number of particles",
+    )
+    axes.plot(
+        frames, effective, color=style.MODE, marker="o", markersize=4.0, linewidth=1.4,
+        label="effective sample size",
+    )  # fmt: skip
+    axes.set_yscale("log")
+    finite = effective[np.isfinite(effective) & (effective > 0.0)]
+    low = min(1.0, float(finite.min())) if len(finite) else 1.0
+    axes.set_ylim(0.7 * low, 2.5 * max(float(numbers.max()), 10.0))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.set_ylabel("particles")
+
+
+def _draw_confidence(axes: Axes, run: Run) -> None:
+    confidence = np.array([frame.confidence for frame in run.frames])
+    axes.plot(
+        np.arange(len(run.frames)), confidence, color=style.TEXT, marker="o", markersize=4.0,
+        linewidth=1.6, label="confidence",
+    )  # fmt: skip
+    axes.set_ylim(-0.05, 1.08)
+    axes.set_yticks([0.0, 0.5, 1.0])
+    axes.set_ylabel("confidence\n0 … 1")
+
+
+def stage_seconds(run: Run) -> dict[str, FloatArray]:
+    """Wall seconds ``(N,)`` of each stage, in the order in which they are stacked."""
+    names = {name for frame in run.frames for name in frame.seconds}
+    known = [name for name in style.STAGE_COLOURS if name in names]
+    ordered = known + sorted(names - set(known))
+    return {
+        name: np.array([frame.seconds.get(name, 0.0) for frame in run.frames]) for name in ordered
+    }
+
+
+def _draw_seconds(axes: Axes, run: Run) -> None:
+    stages = stage_seconds(run)
+    frames, base = np.arange(len(run.frames)), np.zeros(len(run.frames))
+    total = np.sum(list(stages.values()), axis=0) if stages else base
+    scale, unit = (1000.0, "ms") if float(np.max(total)) < 2.0 else (1.0, "s")
+    others = 0
+    for name, seconds in stages.items():
+        colour = style.STAGE_COLOURS.get(name)
+        if colour is None:
+            colour = style.OTHER_STAGE_COLOURS[others % len(style.OTHER_STAGE_COLOURS)]
+            others += 1
+        # matplotlib leaves labels that begin with an underscore out of legends.
+        axes.bar(
+            frames, seconds * scale, 0.8, bottom=base, color=colour, linewidth=0.0,
+            label=name.lstrip("_") or "stage",
+        )  # fmt: skip
+        base = base + seconds * scale
+    axes.set_ylim(0.0, 1.15 * max(float(base.max()), 1e-9))
+    axes.set_ylabel(f"time a frame\nin {unit}")
+
+
+def _finish_panel(axes: Axes, run: Run, indices: Sequence[int], *, bottom: bool) -> None:
+    count = len(run.frames)
+    axes.set_xlim(-0.5, count - 0.5)
+    axes.xaxis.set_major_locator(MaxNLocator(nbins=12, integer=True, min_n_ticks=1))
+    axes.grid(True, axis="y", color="#E6E6E6", linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.tick_params(length=3.0)
+    statuses = _shade_statuses(axes, run)
+    for index in indices:
+        axes.axvline(index, color=style.FAINT, linewidth=0.8, linestyle=":", zorder=0.8)
+    handles, labels = axes.get_legend_handles_labels()
+    if axes.get_ylabel().startswith("confidence"):
+        handles, labels = [*handles, *statuses], [*labels, *(str(s.get_label()) for s in statuses)]
+    axes.legend(
+        handles, labels, loc="upper left", bbox_to_anchor=(1.008, 1.04), frameon=False,
+        borderaxespad=0.0, handlelength=1.8,
+    )  # fmt: skip
+    if bottom:
+        axes.set_xlabel("frame (dotted lines: the frames shown in the pictures)")
+    else:
+        axes.tick_params(labelbottom=False)
+
+
+def _shade_statuses(axes: Axes, run: Run) -> list[Patch]:
+    """Shades what is not tracking behind the curves; returns legend patches."""
+    patches: dict[str, Patch] = {}
+    for index, frame in enumerate(run.frames):
+        colour, hatch = style.STATUS_SHADE.get(frame.status, style.UNKNOWN_STATUS_SHADE)
+        meaning = style.STATUS_MEANING.get(frame.status, frame.status)
+        patches.setdefault(
+            frame.status,
+            Patch(facecolor=colour, hatch=hatch, edgecolor="#999999", linewidth=0.6, label=meaning),
+        )
+        if frame.status != "tracking":
+            axes.axvspan(
+                index - 0.5, index + 0.5, facecolor=colour, hatch=hatch, linewidth=0.0,
+                alpha=0.75, zorder=0.1,
+            )  # fmt: skip
+    return list(patches.values())
+
+
+def _add_time_axis(axes: Axes, run: Run) -> None:
+    """Seconds since the first frame above the panel, at the frame axis' own ticks."""
+    start = run.frames[0].timestamp
+    low, high = axes.get_xlim()
+    ticks = [int(t) for t in axes.get_xticks() if low <= t <= high and t == int(t)]
+    ticks = [tick for tick in ticks if 0 <= tick < len(run.frames)]
+    times = [f"{run.frames[tick].timestamp - start:g}" for tick in ticks]
+    top = axes.secondary_xaxis("top")
+    top.xaxis.set_major_locator(FixedLocator([float(tick) for tick in ticks]))
+    top.set_xticks([float(tick) for tick in ticks], times)
+    top.tick_params(length=3.0)
+    top.set_xlabel("time since the first frame in s")

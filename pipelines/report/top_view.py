@@ -1,0 +1,386 @@
+"""One frame seen from above: particles, paths, poses, uncertainty, the mapped surface."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import ListedColormap, to_hex
+from matplotlib.legend_handler import HandlerTuple
+from matplotlib.lines import Line2D
+from matplotlib.markers import MarkerStyle
+from matplotlib.patches import Ellipse, Patch, Polygon
+from matplotlib.path import Path as MarkerPath
+from matplotlib.transforms import Affine2D
+
+from pipelines.artifacts.array_types import BoolArray, FloatArray
+from pipelines.localize.run import FrameRecord, Run
+from pipelines.report import style
+from pipelines.report.surroundings import Surface, Surroundings
+from pipelines.report.tracks import Tracks
+
+# Quantile 0.95 of the chi-squared distribution with two degrees of freedom.
+ELLIPSE_95 = 5.991464547107979
+# A particle this many times less likely than the best one is drawn in the lightest tone.
+WEIGHT_RANGE = 1e4
+# Beyond this number dots only cover each other; the best stay, the rest is thinned evenly.
+MAX_DOTS = 20_000
+# A mode with a smaller share of the weight is noise of the clustering.
+MIN_MODE_SHARE = 0.05
+PARTICLE_TONES = ListedColormap(
+    np.linspace((0.80, 0.80, 0.80, 1.0), (0.10, 0.10, 0.10, 1.0), 32), name="lfnav particles"
+)
+# Close-up: at least this wide (metres), and never so wide that it shows nothing new.
+MIN_CLOSE_UP = 0.6
+MAX_CLOSE_UP_SHARE = 0.6
+
+# An arrow head that points along +x; its notch marks the position.
+_ARROW = MarkerPath(
+    [(1.3, 0.0), (-0.8, 0.75), (-0.35, 0.0), (-0.8, -0.75), (1.3, 0.0)],
+    [MarkerPath.MOVETO, *[MarkerPath.LINETO] * 3, MarkerPath.CLOSEPOLY],
+)
+
+
+def box_limits(extent: FloatArray, aspect: float) -> FloatArray:
+    """The extent ``(4,)`` widened to the shape of a box with ``aspect`` = width / height."""
+    width, height = extent[1] - extent[0], extent[3] - extent[2]
+    more_x = max(0.0, height * aspect - width) / 2.0
+    more_y = max(0.0, width / aspect - height) / 2.0
+    return np.asarray(extent + np.array([-more_x, more_x, -more_y, more_y]))
+
+
+def close_up_extent(
+    record: FrameRecord, tracks: Tracks, index: int, surroundings: Surroundings
+) -> FloatArray | None:
+    """What to show around the estimate of a frame; None where a close-up would show nothing new."""
+    state = tracks.estimated[index]
+    if not np.all(np.isfinite(state)):
+        return None
+    points = [state[:2]]
+    if len(record.modes):
+        spread = np.sqrt(ELLIPSE_95 * np.clip(np.diag(record.covariance)[:2], 0.0, None))
+        points += [record.modes[0, :2] - spread, record.modes[0, :2] + spread]
+    whole = surroundings.extent
+    widest = MAX_CLOSE_UP_SHARE * max(whole[1] - whole[0], whole[3] - whole[2])
+    for path in (tracks.groundtruth, tracks.odometry):
+        if path is not None and np.linalg.norm(path[index, :2] - state[:2]) < widest / 2.0:
+            points.append(path[index, :2])
+    stacked = np.array(points)
+    low, high = stacked.min(axis=0), stacked.max(axis=0)
+    centre, side = (low + high) / 2.0, max(MIN_CLOSE_UP, 1.35 * float((high - low).max()))
+    if side > widest:
+        return None
+    half = side / 2.0
+    return np.array([centre[0] - half, centre[0] + half, centre[1] - half, centre[1] + half])
+
+
+def draw_top_view(
+    axes: Axes,
+    surroundings: Surroundings,
+    run: Run,
+    tracks: Tracks,
+    index: int,
+    limits: FloatArray,
+    *,
+    detail: bool = False,
+) -> None:
+    """Draws frame ``index`` into ``axes``, whose box must have the shape of ``limits``.
+
+    Args:
+        axes: empty axes.
+        surroundings: the fixed part.
+        run: the run that the frame belongs to.
+        tracks: the run's paths.
+        index: of the frame; the estimated path is drawn up to it.
+        limits: ``(4,)`` x_min, x_max, y_min, y_max in metres.
+        detail: a close-up: larger symbols.
+    """
+    record = run.frames[index]
+    size = 1.35 if detail else 1.0
+    _draw_axes(axes, limits)
+    if surroundings.surface is not None:
+        _draw_surface(axes, surroundings.surface, limits)
+    _draw_recordings(axes, surroundings.recordings, limits, size)
+    _draw_particles(axes, record, size)
+    _draw_paths(axes, run, tracks, index, size)
+    _draw_modes(axes, record, size)
+    _draw_ellipse(axes, record)
+    _draw_poses(axes, tracks, index, record.status == "tracking", size)
+
+
+def _draw_axes(axes: Axes, limits: FloatArray) -> None:
+    axes.set_aspect("equal", adjustable="box")
+    axes.set_xlim(limits[0], limits[1])
+    axes.set_ylim(limits[2], limits[3])
+    axes.set_xlabel("x in m", labelpad=1.0)
+    axes.set_ylabel("y in m", labelpad=1.0)
+    axes.locator_params(nbins=6, min_n_ticks=3)
+    axes.grid(True, color="#E6E6E6", linewidth=0.6, zorder=0)
+    axes.set_axisbelow(True)
+    axes.tick_params(length=3.0, width=0.8)
+
+
+def _draw_surface(axes: Axes, surface: Surface, limits: FloatArray) -> None:
+    if not surface.is_wall:
+        area = Polygon(
+            surface.outline, closed=True, facecolor="#F2F2F2", edgecolor=style.SURFACE, zorder=0.5
+        )
+        axes.add_patch(area)
+        return
+    depth = 0.03 * (limits[3] - limits[2])
+    back = surface.outline[::-1] + depth * surface.away
+    band = Polygon(
+        np.concatenate([surface.outline, back]),
+        closed=True,
+        facecolor=style.SURFACE_BACK,
+        edgecolor="#8C8C8C",
+        hatch="////",
+        linewidth=0.0,
+        zorder=0.6,
+    )
+    axes.add_patch(band)
+    axes.plot(*surface.outline.T, color=style.SURFACE, linewidth=3.0, zorder=2.0)
+
+
+def _draw_recordings(axes: Axes, recordings: FloatArray, limits: FloatArray, size: float) -> None:
+    length = 0.035 * (limits[1] - limits[0])
+    tips = recordings[:, :2] + length * np.column_stack(
+        [np.cos(recordings[:, 2]), np.sin(recordings[:, 2])]
+    )
+    ticks = np.stack([recordings[:, :2], tips], axis=1)
+    axes.add_collection(
+        LineCollection(list(ticks), colors=style.RECORDING, linewidths=1.1 * size, zorder=2.4),
+        autolim=False,
+    )
+    axes.plot(
+        *recordings[:, :2].T,
+        linestyle="none",
+        marker="o",
+        markersize=3.6 * size,
+        markerfacecolor="white",
+        markeredgecolor=style.RECORDING,
+        markeredgewidth=1.1,
+        zorder=2.5,
+    )
+
+
+def particle_tones(log_weights: FloatArray) -> FloatArray:
+    """How dark each particle ``(M,)`` is drawn: 1 for the best, 0 from ``WEIGHT_RANGE`` below."""
+    best = float(log_weights.max())
+    return np.asarray(np.clip(1.0 + (log_weights - best) / np.log(WEIGHT_RANGE), 0.0, 1.0))
+
+
+def _shown(log_weights: FloatArray) -> BoolArray:
+    """Which particles ``(M,)`` are drawn: all up to ``MAX_DOTS``, then the best and every k-th."""
+    count = len(log_weights)
+    if count <= MAX_DOTS:
+        return np.ones(count, dtype=np.bool_)
+    shown = np.zeros(count, dtype=np.bool_)
+    shown[np.argsort(-log_weights, kind="stable")[: MAX_DOTS // 2]] = True
+    rest = np.flatnonzero(~shown)
+    shown[rest[:: -(-len(rest) // (MAX_DOTS // 2))]] = True
+    return shown
+
+
+def _draw_particles(axes: Axes, record: FrameRecord, size: float) -> None:
+    valid = np.isfinite(record.log_weights) & np.all(np.isfinite(record.particles), axis=1)
+    if not valid.any():
+        return
+    particles, log_weights = record.particles[valid], record.log_weights[valid]
+    shown = _shown(log_weights)
+    particles, log_weights = particles[shown], log_weights[shown]
+    order = np.argsort(log_weights, kind="stable")
+    many = len(order) > 2000
+    axes.scatter(
+        particles[order, 0],
+        particles[order, 1],
+        c=particle_tones(log_weights)[order],
+        cmap=PARTICLE_TONES,
+        vmin=0.0,
+        vmax=1.0,
+        s=(2.0 if many else 7.0) * size**2,
+        linewidths=0.0,
+        zorder=1.5,
+        rasterized=True,
+    )
+
+
+def _draw_paths(axes: Axes, run: Run, tracks: Tracks, index: int, size: float) -> None:
+    if tracks.groundtruth is not None:
+        axes.plot(
+            *tracks.groundtruth[:, :2].T,
+            color=style.TRUTH,
+            linewidth=4.0 * size,
+            alpha=0.45,
+            solid_capstyle="round",
+            zorder=3.0,
+        )
+    if tracks.odometry is not None:
+        axes.plot(
+            *tracks.odometry[: index + 1, :2].T,
+            color=style.ODOMETRY,
+            linewidth=1.5 * size,
+            linestyle=(0, (4.0, 1.6)),
+            zorder=3.2,
+        )
+    # Estimates of a filter that is still searching jump; a line between them would be no path.
+    known = np.array([frame.status == "tracking" for frame in run.frames[: index + 1]])
+    path = np.where(known[:, None], tracks.estimated[: index + 1, :2], np.nan)
+    axes.plot(
+        *path.T,
+        color=style.ESTIMATE,
+        linewidth=1.4 * size,
+        marker="o",
+        markersize=2.6 * size,
+        zorder=3.4,
+    )
+
+
+def _draw_modes(axes: Axes, record: FrameRecord, size: float) -> None:
+    modes = record.modes[record.modes[:, 3] >= MIN_MODE_SHARE]
+    if len(modes) < 2:
+        return
+    for x, y, _, share in modes:
+        axes.plot(
+            x,
+            y,
+            linestyle="none",
+            marker="D",
+            markersize=9.0 * size,
+            markerfacecolor="none",
+            markeredgecolor=style.MODE,
+            markeredgewidth=1.8,
+            zorder=4.0,
+            clip_on=True,
+        )
+        axes.annotate(
+            f"{share:.0%}",
+            (x, y),
+            xytext=(8.0 * size, 5.0 * size),
+            textcoords="offset points",
+            fontsize=9.0,
+            annotation_clip=True,
+            clip_on=True,
+            bbox={"boxstyle": "round,pad=0.1", "facecolor": "white", "alpha": 0.8, "linewidth": 0},
+            zorder=6.0,
+        )
+
+
+def covariance_ellipse(covariance: FloatArray) -> tuple[float, float, float]:
+    """Width, height (metres) and angle (degrees) of the 95 % ellipse of x and y.
+
+    Args:
+        covariance: ``(3, 3)`` of x, y, heading.
+    """
+    values, vectors = np.linalg.eigh(covariance[:2, :2])
+    width, height = 2.0 * np.sqrt(ELLIPSE_95 * np.clip(values[::-1], 0.0, None))
+    return float(width), float(height), float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])))
+
+
+def _draw_ellipse(axes: Axes, record: FrameRecord) -> None:
+    if len(record.modes) == 0 or not np.all(np.isfinite(record.covariance)):
+        return
+    width, height, angle = covariance_ellipse(record.covariance)
+    for colour, line in (("white", 3.0), (style.ESTIMATE, 1.3)):
+        outline = Ellipse(
+            (float(record.modes[0, 0]), float(record.modes[0, 1])),
+            width,
+            height,
+            angle=angle,
+            facecolor="none",
+            edgecolor=colour,
+            linewidth=line,
+            zorder=4.2,
+        )
+        axes.add_patch(outline)
+
+
+def arrow_marker(heading: float) -> MarkerStyle:
+    """An arrow head of fixed size on screen that points along ``heading`` (radians)."""
+    return MarkerStyle(_ARROW.transformed(Affine2D().rotate(heading)))
+
+
+def _draw_poses(axes: Axes, tracks: Tracks, index: int, tracking: bool, size: float) -> None:
+    for path, colour, order in (
+        (tracks.odometry, style.ODOMETRY, 5.0),
+        (tracks.groundtruth, style.TRUTH, 5.1),
+        (tracks.estimated, style.ESTIMATE, 5.2),
+    ):
+        if path is None or not np.all(np.isfinite(path[index])):
+            continue
+        x, y, heading = path[index]
+        hollow = path is tracks.estimated and not tracking
+        axes.plot(
+            x,
+            y,
+            linestyle="none",
+            marker=arrow_marker(float(heading)),
+            markersize=13.0 * size,
+            markerfacecolor="white" if hollow else colour,
+            markeredgecolor=colour if hollow else "white",
+            markeredgewidth=1.4 if hollow else 1.0,
+            zorder=order,
+        )
+
+
+def legend_entries(
+    run: Run, tracks: Tracks, surroundings: Surroundings, indices: Sequence[int]
+) -> tuple[list[Any], list[str], dict[type, HandlerTuple]]:
+    """Handles, labels and handler map of a legend for the top views of the frames ``indices``.
+
+    A handle is an artist or, where a symbol consists of several, a tuple of artists.
+    """
+
+    def dot(tone: float) -> Line2D:
+        colour = to_hex(PARTICLE_TONES(tone))
+        return Line2D([], [], linestyle="none", marker="o", color=colour, markersize=5.0)
+
+    def pose(colour: str) -> Line2D:
+        return Line2D(
+            [], [], linestyle="none", marker=arrow_marker(0.0), color=colour, markersize=10.0
+        )
+
+    searching = any(run.frames[i].status != "tracking" for i in indices)
+    entries: list[tuple[Artist | tuple[Artist, ...], str]] = [
+        (
+            tuple(dot(tone) for tone in (0.0, 0.5, 1.0)),
+            "particles; weight 1/10 000 or less … best",
+        ),
+        (
+            (Line2D([], [], color=style.ESTIMATE, linewidth=1.4), pose(style.ESTIMATE)),
+            "estimate (hollow: still searching)" if searching else "estimate",
+        ),
+    ]
+    ellipse = Line2D(
+        [], [], linestyle="none", marker="o", markersize=10.0, markerfacecolor="none",
+        markeredgecolor=style.ESTIMATE, markeredgewidth=1.3,
+    )  # fmt: skip
+    entries.append((ellipse, "95 % ellipse of the main cluster"))
+    if tracks.odometry is not None:
+        dashes = Line2D([], [], color=style.ODOMETRY, linewidth=1.5, linestyle=(0, (4.0, 1.6)))
+        entries.append(((dashes, pose(style.ODOMETRY)), "odometry alone"))
+    if tracks.groundtruth is not None:
+        band = Line2D([], [], color=style.TRUTH, linewidth=4.0, alpha=0.45)
+        entries.append(((band, pose(style.TRUTH)), "ground truth"))
+    if any(np.sum(run.frames[i].modes[:, 3] >= MIN_MODE_SHARE) > 1 for i in indices):
+        mode = Line2D(
+            [], [], linestyle="none", marker="D", markersize=8.0, markerfacecolor="none",
+            markeredgecolor=style.MODE, markeredgewidth=1.8,
+        )  # fmt: skip
+        entries.append((mode, "cluster and its share of the weight"))
+    recording = Line2D(
+        [], [], color=style.RECORDING, marker="o", markersize=4.0, markerfacecolor="white",
+        linewidth=1.1, markevery=[0],
+    )  # fmt: skip
+    recording.set_data([0.0, 1.0], [0.0, 0.0])
+    entries.append((recording, "recorded view and its direction"))
+    if surroundings.surface is not None:
+        wall = Line2D([], [], color=style.SURFACE, linewidth=3.0)
+        flat = Patch(facecolor="#F2F2F2", edgecolor=style.SURFACE)
+        entries.append(
+            (wall if surroundings.surface.is_wall else flat, "mapped surface that the views cover")
+        )
+    handles, labels = [entry[0] for entry in entries], [entry[1] for entry in entries]
+    return handles, labels, {tuple: HandlerTuple(ndivide=None, pad=0.4)}

@@ -1,0 +1,79 @@
+"""The paths that a report compares: estimate, odometry and, where known, ground truth."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipelines.artifacts.array_types import BoolArray, FloatArray
+from pipelines.localize.evaluation import (
+    RunEvaluation,
+    TrackEvaluation,
+    evaluate_run,
+    odometry_states,
+)
+from pipelines.localize.run import Run
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Planar states of the robot base at the frames, ``(N, 3)``: x, y (metres), heading (radians).
+
+    Attributes:
+        estimate_name: which estimate of the run ``estimated`` is; "none" where it has none at all.
+        estimated: rows of NaN in frames without an estimate.
+        odometry: placed in the world; None where there was none or it has no place.
+        groundtruth: rows of NaN in frames without it; None where it is unknown altogether.
+        evaluation: errors of the estimate and of odometry; None where they are unknown.
+    """
+
+    estimate_name: str
+    estimated: FloatArray
+    odometry: FloatArray | None
+    groundtruth: FloatArray | None
+    evaluation: RunEvaluation | None
+
+    @property
+    def estimate_errors(self) -> TrackEvaluation | None:
+        """Errors of the estimate; None where they are unknown."""
+        return None if self.evaluation is None else self.evaluation.errors
+
+    @property
+    def odometry_errors(self) -> TrackEvaluation | None:
+        """Errors of odometry alone; None where they are unknown."""
+        return None if self.evaluation is None else self.evaluation.odometry
+
+
+def tracks_of(run: Run, estimate: str | None) -> Tracks:
+    """The paths of a run.
+
+    Args:
+        run: may lack estimates in some frames or in all.
+        estimate: name of one of the run's estimates; None for the run's own choice.
+
+    Raises:
+        OptionError: the run has no estimate of that name.
+    """
+    if estimate is None and not run.estimate_names:
+        # Lost throughout: the report has to show just that.
+        name, estimated = "none", np.full((len(run.frames), 3), np.nan)
+    else:
+        name = run.default_estimate if estimate is None else estimate
+        estimated = run.estimated_states(name)
+    truth = run.groundtruth
+    if truth is not None and not known_rows(truth).any():
+        truth = None
+    # Odometry has no place of its own: it is put where the truth or the first estimate is.
+    has_place = truth is not None or bool(run.estimate_names)
+    comparable = truth is not None and bool(np.any(known_rows(truth) & known_rows(estimated)))
+    return Tracks(
+        estimate_name=name,
+        estimated=estimated,
+        odometry=odometry_states(run) if run.odometry is not None and has_place else None,
+        groundtruth=truth,
+        evaluation=evaluate_run(run, estimate=name) if comparable else None,
+    )
+
+
+def known_rows(states: FloatArray) -> BoolArray:
+    """Which of the states ``(N, 3)`` are known; ``(N,)``."""
+    return np.asarray(np.all(np.isfinite(states), axis=1), dtype=np.bool_)

@@ -1,0 +1,114 @@
+"""The pictures beside the top view: what the camera saw, and what the model shows at a pose."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from pipelines.artifacts.array_types import BoolArray, FloatArray, ImageArray
+from pipelines.dataset.images import decode_image
+from pipelines.geometry.camera import Intrinsics, Undistorter
+from pipelines.geometry.pose import world_from_base_planar
+from pipelines.lightfield.renderer import Renderer, Rendering
+from pipelines.localize.run import Run
+from pipelines.report.style import UNCOVERED_DARK, UNCOVERED_LIGHT
+
+# The largest pictures are four inches wide at 120 pixels an inch; more would only weigh more.
+MAX_PICTURE_SIDE = 480
+# Width of a pair of stripes relative to the longer side of the picture.
+STRIPE_PERIOD = 1.0 / 32.0
+
+
+@dataclass(frozen=True)
+class ModelView:
+    """A rendered view beside the camera's.
+
+    Attributes:
+        picture: ``(H, W, 3)``; pixels that no recorded view covers are striped.
+        covered: ``(H, W)``.
+        mean_difference: mean absolute grey-level difference from the camera image over the covered
+            pixels, 0 to 255; NaN where no pixel is covered.
+        difference: ``(H, W)`` absolute differences, mean over the colours; NaN where uncovered.
+    """
+
+    picture: ImageArray
+    covered: BoolArray
+    mean_difference: float
+    difference: FloatArray
+
+
+@dataclass(frozen=True)
+class FrameViews:
+    """The pictures of one frame, all of the same size; None where there is no pose to render at."""
+
+    real: ImageArray
+    at_estimate: ModelView | None
+    at_odometry: ModelView | None
+
+
+class ViewMaker:
+    """Makes the pictures of frames: undistorted camera images and views rendered like them.
+
+    Args:
+        run: holds the camera images, the camera and its mount.
+        renderer: of the scene in which the run was localized.
+    """
+
+    def __init__(self, run: Run, renderer: Renderer) -> None:
+        self._run = run
+        self._renderer = renderer
+        self._undistort = Undistorter(run.camera)
+        self._intrinsics = picture_intrinsics(self._undistort.intrinsics)
+
+    def views(self, index: int, estimate: FloatArray, odometry: FloatArray | None) -> FrameViews:
+        """The pictures of frame ``index`` with the states ``(3,)`` to render at.
+
+        Raises:
+            InputError: the stored camera image cannot be decoded.
+        """
+        image = decode_image(self._run.encoded_images[index], self._run.frames[index].image_name)
+        size = (self._intrinsics.width, self._intrinsics.height)
+        undistorted = self._undistort(image)
+        real = np.asarray(cv2.resize(undistorted, size, interpolation=cv2.INTER_AREA), np.uint8)
+        return FrameViews(real, self._model_view(real, estimate), self._model_view(real, odometry))
+
+    def _model_view(self, real: ImageArray, state: FloatArray | None) -> ModelView | None:
+        if state is None or not np.all(np.isfinite(state)):
+            return None
+        world_from_camera = world_from_base_planar(state) @ self._run.base_from_camera
+        return model_view(real, self._renderer.render(world_from_camera, self._intrinsics))
+
+
+def picture_intrinsics(intrinsics: Intrinsics) -> Intrinsics:
+    """Intrinsics of the picture shown: the camera's, reduced where it is larger than needed."""
+    scale = min(1.0, MAX_PICTURE_SIDE / max(intrinsics.width, intrinsics.height))
+    width = max(1, round(intrinsics.width * scale))
+    height = max(1, round(intrinsics.height * scale))
+    return intrinsics.resized(width, height)
+
+
+def model_view(real: ImageArray, rendering: Rendering) -> ModelView:
+    """A rendering prepared for showing beside the camera image ``(H, W, 3)`` of the same size."""
+    absolute = np.abs(real.astype(np.float64) - rendering.image.astype(np.float64)).mean(axis=2)
+    covered = rendering.covered
+    mean = float(absolute[covered].mean()) if covered.any() else float("nan")
+    return ModelView(
+        picture=mark_uncovered(rendering.image, covered),
+        covered=covered,
+        mean_difference=mean,
+        difference=np.where(covered, absolute, np.nan),
+    )
+
+
+def mark_uncovered(image: ImageArray, covered: BoolArray) -> ImageArray:
+    """The image ``(H, W, 3)`` with diagonal stripes where ``covered`` ``(H, W)`` is false."""
+    height, width = covered.shape
+    return np.where(covered[..., None], image, stripes(width, height)).astype(np.uint8)
+
+
+def stripes(width: int, height: int) -> ImageArray:
+    """``(height, width, 3)``: the pattern that marks pixels which no recorded view covers."""
+    period = max(4, round(max(width, height) * STRIPE_PERIOD))
+    rows, columns = np.mgrid[0:height, 0:width]
+    dark = ((rows + columns) % period) < period // 2
+    return np.where(dark[..., None], UNCOVERED_DARK, UNCOVERED_LIGHT).astype(np.uint8)
