@@ -22,8 +22,9 @@ DEMO := out/demo
 DEMO_SFM := out/demo-sfm
 DEMO_ODOMETRY := odometry.txt
 SEED := 0
-# One worker a core up to four: each compiles its own kernels, and more would wait for each other.
-TEST_WORKERS := --numprocesses auto --maxprocesses 4 --dist loadfile
+# Two processes at once were no faster on two cores: much of what is tested uses all cores by itself.
+# On a larger machine: make test TEST_WORKERS='-n 4 --dist loadfile'.
+TEST_WORKERS :=
 
 .PHONY: help install demo demo-sfm test test-slow test-lowest lint format bench clean
 
