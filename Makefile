@@ -22,7 +22,7 @@ DEMO := out/demo
 DEMO_SFM := out/demo-sfm
 DEMO_ODOMETRY := odometry.txt
 SEED := 0
-# Two processes at once were no faster on two cores: much of what is tested uses all cores by itself.
+# One process: on two busy cores two were slower, since much of what is tested uses all cores itself.
 # On a larger machine: make test TEST_WORKERS='-n 4 --dist loadfile'.
 TEST_WORKERS :=
 
