@@ -131,8 +131,9 @@ def _picture(name: str, png: bytes, content: Content) -> Picture:
         alternative = f"Errors, particles, confidence and time over the frames of {dataset}"
         return Picture("Over time", png, alternative, caption)
     index = int(name.removeprefix("frame_"))
+    caption = FRAME_CAPTION if index == next(iter(content.views)) else "Read as the figure above."
     alternative = f"Frame {index} of {dataset}: pictures, top view, close-up, difference"
-    return Picture(f"Frame {index}", png, alternative, FRAME_CAPTION)
+    return Picture(f"Frame {index}", png, alternative, caption)
 
 
 def _errors_caption(tracks: Tracks) -> str:

@@ -7,17 +7,16 @@ from io import BytesIO
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 
 from pipelines.artifacts.array_types import FloatArray, ImageArray
 from pipelines.localize.run import Run
 from pipelines.report import style
+from pipelines.report.legend import legend_entries
 from pipelines.report.surroundings import Surroundings
 from pipelines.report.top_view import (
     box_limits,
     close_up_extent,
     draw_top_view,
-    legend_entries,
 )
 from pipelines.report.tracks import Tracks
 from pipelines.report.verdict import length_text
@@ -160,14 +159,9 @@ class _Layout:
         handles, labels, handlers = legend_entries(
             content.run, content.tracks, content.surroundings, list(content.views)
         )
-        striped = Patch(
-            facecolor=_hex_of(style.UNCOVERED_LIGHT),
-            edgecolor=_hex_of(style.UNCOVERED_DARK),
-            hatch="//////",
-        )
         self.figure.legend(
-            [*handles, striped],
-            [*labels, "striped: no recorded view shows it"],
+            handles,
+            labels,
             handler_map=handlers,
             loc="lower left",
             bbox_to_anchor=(LEFT / WIDTH - 0.005, 0.02 / self.height),
@@ -179,13 +173,9 @@ class _Layout:
         )
 
 
-def _hex_of(colour: tuple[int, int, int]) -> str:
-    return "#" + "".join(f"{part:02x}" for part in colour)
-
-
 def _legend_lines(content: Content) -> int:
     entries = legend_entries(content.run, content.tracks, content.surroundings, list(content.views))
-    return -(-(len(entries[1]) + 1) // LEGEND_COLUMNS)
+    return -(-len(entries[1]) // LEGEND_COLUMNS)
 
 
 def _picture_aspect(content: Content) -> float:
@@ -261,7 +251,7 @@ def _frame_lines(content: Content, index: int) -> tuple[str, str]:
     frame = content.run.frames[index]
     seconds = frame.timestamp - content.run.frames[0].timestamp
     return (
-        f"frame {index}, {seconds:.2f} s: {frame.status}",
+        f"frame {index}, {seconds:.2f} s: {style.STATUS_WORDS.get(frame.status, frame.status)}",
         f"{len(frame.log_weights):,} particles, {frame.effective_sample_size:,.0f} effective; "
         f"confidence {frame.confidence:.2f}",
     )

@@ -31,6 +31,7 @@ figcaption { margin-top: .5rem; max-width: 60rem; color: var(--faint); }
 table { border-collapse: collapse; margin: .4rem 0; font-variant-numeric: tabular-nums; }
 th, td { text-align: left; padding: .28rem 1.1rem .28rem 0; border-bottom: 1px solid var(--line);
   vertical-align: top; font-weight: 400; }
+th[scope=row] { overflow-wrap: break-word; min-width: 7rem; }
 thead th { color: var(--faint); border-bottom-width: 2px; }
 td.number, th.number { text-align: right; white-space: nowrap; }
 .columns { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 26rem), 1fr));

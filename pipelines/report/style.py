@@ -6,7 +6,7 @@ tell apart; each meaning also has its own line style or marker, for print in gre
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, cast
 
 import matplotlib as mpl
 
@@ -26,8 +26,10 @@ UNCOVERED_LIGHT = (250, 240, 246)
 UNCOVERED_DARK = (204, 121, 167)
 
 # Shade and hatch behind the curves while the filter is in a state. Tracking is the normal case.
-STATUS_SHADE = {"global": ("#F6E8B1", ""), "lost": ("#F3B9A0", "//"), "tracking": ("#FFFFFF", "")}
+STATUS_SHADE = {"global": ("#FAF0CC", ""), "lost": ("#F9D8CA", "//"), "tracking": ("#FFFFFF", "")}
+HATCH_COLOUR = "#C9714A"
 UNKNOWN_STATUS_SHADE = ("#E0E0E0", "..")
+STATUS_WORDS = {"global": "still searching", "lost": "LOST", "tracking": "tracking"}
 STATUS_MEANING = {
     "global": "global: still searching",
     "lost": "lost: says it does not know",
@@ -71,10 +73,9 @@ _SETTINGS: dict[str, Any] = {
 def figure_style() -> Iterator[None]:
     """Draws inside this block look the same whatever the user's own matplotlib settings are."""
     keep = {"backend", "backend_fallback", "interactive", "toolbar", "timezone"}
-    defaults: dict[Any, Any] = {
-        name: value
-        for name, value in mpl.rcParamsDefault.items()
-        if name not in keep and not name.startswith(("webagg", "keymap", "savefig.directory"))
-    }
-    with mpl.rc_context({**defaults, **_SETTINGS}):
+    with mpl.rc_context():
+        for name, value in mpl.rcParamsDefault.items():
+            if name not in keep:
+                mpl.rcParams[name] = value
+        cast(dict[str, Any], mpl.rcParams).update(_SETTINGS)
         yield

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -125,12 +126,12 @@ def _deviations(tracks: Tracks, heading: bool) -> list[_Curve]:
 def _deviation_label(tracks: Tracks, heading: bool, unit: str) -> str:
     what = "heading" if heading else "position"
     if tracks.evaluation is None:
-        return f"{what} spread, {unit}\n(errors unknown)"
+        return f"{what} spread, {unit}\n(error unknown)"
     return f"{what} error\nin {unit}"
 
 
 def _heading_unit() -> tuple[float, str]:
-    return float(np.degrees(1.0)), "degrees"
+    return float(np.degrees(1.0)), "°"
 
 
 def _length_unit(lengths: FloatArray) -> tuple[float, str]:
@@ -249,18 +250,19 @@ def _finish_panel(axes: Axes, run: Run, indices: Sequence[int], *, bottom: bool)
 def _shade_statuses(axes: Axes, run: Run) -> list[Patch]:
     """Shades what is not tracking behind the curves; returns legend patches."""
     patches: dict[str, Patch] = {}
-    for index, frame in enumerate(run.frames):
-        colour, hatch = style.STATUS_SHADE.get(frame.status, style.UNKNOWN_STATUS_SHADE)
-        meaning = style.STATUS_MEANING.get(frame.status, frame.status)
-        patches.setdefault(
-            frame.status,
-            Patch(facecolor=colour, hatch=hatch, edgecolor="#999999", linewidth=0.6, label=meaning),
+    start = 0
+    for status, group in groupby(frame.status for frame in run.frames):
+        end = start + len(list(group))
+        colour, hatch = style.STATUS_SHADE.get(status, style.UNKNOWN_STATUS_SHADE)
+        meaning = style.STATUS_MEANING.get(status, status)
+        edge = style.HATCH_COLOUR
+        patches[status] = Patch(
+            facecolor=colour, edgecolor=edge, hatch=hatch, linewidth=0.6, label=meaning
         )
-        if frame.status != "tracking":
-            axes.axvspan(
-                index - 0.5, index + 0.5, facecolor=colour, hatch=hatch, linewidth=0.0,
-                alpha=0.75, zorder=0.1,
-            )  # fmt: skip
+        if status != "tracking":
+            span = axes.axvspan(start - 0.5, end - 0.5, facecolor=colour, edgecolor=edge)
+            span.set(hatch=hatch, linewidth=0.0, zorder=0.1)
+        start = end
     return list(patches.values())
 
 

@@ -1,18 +1,13 @@
 """One frame seen from above: particles, paths, poses, uncertainty, the mapped surface."""
 
-from collections.abc import Sequence
-from typing import Any
-
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.colors import ListedColormap, to_hex
-from matplotlib.legend_handler import HandlerTuple
-from matplotlib.lines import Line2D
+from matplotlib.colors import ListedColormap
 from matplotlib.markers import MarkerStyle
-from matplotlib.patches import Ellipse, Patch, Polygon
+from matplotlib.patches import Ellipse, Polygon
 from matplotlib.path import Path as MarkerPath
+from matplotlib.ticker import MultipleLocator
 from matplotlib.transforms import Affine2D
 
 from pipelines.artifacts.array_types import BoolArray, FloatArray
@@ -105,7 +100,8 @@ def draw_top_view(
     _draw_recordings(axes, surroundings.recordings, limits, size)
     _draw_particles(axes, record, size)
     _draw_paths(axes, run, tracks, index, size)
-    _draw_modes(axes, record, size)
+    # In a close-up the ellipse shows the main cluster, and a diamond would hide its particles.
+    _draw_modes(axes, record, first=1 if detail else 0)
     _draw_ellipse(axes, record)
     _draw_poses(axes, tracks, index, record.status == "tracking", size)
 
@@ -116,10 +112,19 @@ def _draw_axes(axes: Axes, limits: FloatArray) -> None:
     axes.set_ylim(limits[2], limits[3])
     axes.set_xlabel("x in m", labelpad=1.0)
     axes.set_ylabel("y in m", labelpad=1.0)
-    axes.locator_params(nbins=6, min_n_ticks=3)
+    # The same step in both directions, so that the grid's cells are squares.
+    step = tick_step(float(limits[1] - limits[0]))
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MultipleLocator(step))
     axes.grid(True, color="#E6E6E6", linewidth=0.6, zorder=0)
     axes.set_axisbelow(True)
     axes.tick_params(length=3.0, width=0.8)
+
+
+def tick_step(span: float) -> float:
+    """A step of 1, 2 or 5 times a power of ten that divides ``span`` into three to seven parts."""
+    decade = 10.0 ** np.floor(np.log10(span))
+    return float(next(s for s in (0.1, 0.2, 0.5, 1.0, 2.0) if span / (s * decade) < 7.5) * decade)
 
 
 def _draw_surface(axes: Axes, surface: Surface, limits: FloatArray) -> None:
@@ -141,7 +146,9 @@ def _draw_surface(axes: Axes, surface: Surface, limits: FloatArray) -> None:
         zorder=0.6,
     )
     axes.add_patch(band)
-    axes.plot(*surface.outline.T, color=style.SURFACE, linewidth=3.0, zorder=2.0)
+    axes.plot(
+        *surface.outline.T, color=style.SURFACE, linewidth=3.0, solid_capstyle="butt", zorder=2.0
+    )
 
 
 def _draw_recordings(axes: Axes, recordings: FloatArray, limits: FloatArray, size: float) -> None:
@@ -185,12 +192,8 @@ def _shown(log_weights: FloatArray) -> BoolArray:
 
 
 def _draw_particles(axes: Axes, record: FrameRecord, size: float) -> None:
-    valid = np.isfinite(record.log_weights) & np.all(np.isfinite(record.particles), axis=1)
-    if not valid.any():
-        return
-    particles, log_weights = record.particles[valid], record.log_weights[valid]
-    shown = _shown(log_weights)
-    particles, log_weights = particles[shown], log_weights[shown]
+    shown = _shown(record.log_weights)
+    particles, log_weights = record.particles[shown], record.log_weights[shown]
     order = np.argsort(log_weights, kind="stable")
     many = len(order) > 2000
     axes.scatter(
@@ -238,17 +241,17 @@ def _draw_paths(axes: Axes, run: Run, tracks: Tracks, index: int, size: float) -
     )
 
 
-def _draw_modes(axes: Axes, record: FrameRecord, size: float) -> None:
+def _draw_modes(axes: Axes, record: FrameRecord, first: int) -> None:
     modes = record.modes[record.modes[:, 3] >= MIN_MODE_SHARE]
     if len(modes) < 2:
         return
-    for x, y, _, share in modes:
+    for x, y, _, share in modes[first:]:
         axes.plot(
             x,
             y,
             linestyle="none",
             marker="D",
-            markersize=9.0 * size,
+            markersize=9.0,
             markerfacecolor="none",
             markeredgecolor=style.MODE,
             markeredgewidth=1.8,
@@ -258,7 +261,7 @@ def _draw_modes(axes: Axes, record: FrameRecord, size: float) -> None:
         axes.annotate(
             f"{share:.0%}",
             (x, y),
-            xytext=(8.0 * size, 5.0 * size),
+            xytext=(8.0, 5.0),
             textcoords="offset points",
             fontsize=9.0,
             annotation_clip=True,
@@ -323,64 +326,3 @@ def _draw_poses(axes: Axes, tracks: Tracks, index: int, tracking: bool, size: fl
             markeredgewidth=1.4 if hollow else 1.0,
             zorder=order,
         )
-
-
-def legend_entries(
-    run: Run, tracks: Tracks, surroundings: Surroundings, indices: Sequence[int]
-) -> tuple[list[Any], list[str], dict[type, HandlerTuple]]:
-    """Handles, labels and handler map of a legend for the top views of the frames ``indices``.
-
-    A handle is an artist or, where a symbol consists of several, a tuple of artists.
-    """
-
-    def dot(tone: float) -> Line2D:
-        colour = to_hex(PARTICLE_TONES(tone))
-        return Line2D([], [], linestyle="none", marker="o", color=colour, markersize=5.0)
-
-    def pose(colour: str) -> Line2D:
-        return Line2D(
-            [], [], linestyle="none", marker=arrow_marker(0.0), color=colour, markersize=10.0
-        )
-
-    searching = any(run.frames[i].status != "tracking" for i in indices)
-    entries: list[tuple[Artist | tuple[Artist, ...], str]] = [
-        (
-            tuple(dot(tone) for tone in (0.0, 0.5, 1.0)),
-            "particles; weight 1/10 000 or less … best",
-        ),
-        (
-            (Line2D([], [], color=style.ESTIMATE, linewidth=1.4), pose(style.ESTIMATE)),
-            "estimate (hollow: still searching)" if searching else "estimate",
-        ),
-    ]
-    ellipse = Line2D(
-        [], [], linestyle="none", marker="o", markersize=10.0, markerfacecolor="none",
-        markeredgecolor=style.ESTIMATE, markeredgewidth=1.3,
-    )  # fmt: skip
-    entries.append((ellipse, "95 % ellipse of the main cluster"))
-    if tracks.odometry is not None:
-        dashes = Line2D([], [], color=style.ODOMETRY, linewidth=1.5, linestyle=(0, (4.0, 1.6)))
-        entries.append(((dashes, pose(style.ODOMETRY)), "odometry alone"))
-    if tracks.groundtruth is not None:
-        band = Line2D([], [], color=style.TRUTH, linewidth=4.0, alpha=0.45)
-        entries.append(((band, pose(style.TRUTH)), "ground truth"))
-    if any(np.sum(run.frames[i].modes[:, 3] >= MIN_MODE_SHARE) > 1 for i in indices):
-        mode = Line2D(
-            [], [], linestyle="none", marker="D", markersize=8.0, markerfacecolor="none",
-            markeredgecolor=style.MODE, markeredgewidth=1.8,
-        )  # fmt: skip
-        entries.append((mode, "cluster and its share of the weight"))
-    recording = Line2D(
-        [], [], color=style.RECORDING, marker="o", markersize=4.0, markerfacecolor="white",
-        linewidth=1.1, markevery=[0],
-    )  # fmt: skip
-    recording.set_data([0.0, 1.0], [0.0, 0.0])
-    entries.append((recording, "recorded view and its direction"))
-    if surroundings.surface is not None:
-        wall = Line2D([], [], color=style.SURFACE, linewidth=3.0)
-        flat = Patch(facecolor="#F2F2F2", edgecolor=style.SURFACE)
-        entries.append(
-            (wall if surroundings.surface.is_wall else flat, "mapped surface that the views cover")
-        )
-    handles, labels = [entry[0] for entry in entries], [entry[1] for entry in entries]
-    return handles, labels, {tuple: HandlerTuple(ndivide=None, pad=0.4)}

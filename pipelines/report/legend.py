@@ -1,0 +1,88 @@
+"""The legend of the top views and pictures."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.colors import to_hex
+from matplotlib.legend_handler import HandlerTuple
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from pipelines.localize.run import Run
+from pipelines.report import style
+from pipelines.report.surroundings import Surroundings
+from pipelines.report.top_view import MIN_MODE_SHARE, PARTICLE_TONES, arrow_marker
+from pipelines.report.tracks import Tracks
+
+
+def legend_entries(
+    run: Run, tracks: Tracks, surroundings: Surroundings, indices: Sequence[int]
+) -> tuple[list[Any], list[str], dict[type, HandlerTuple]]:
+    """Handles, labels and handler map of a legend for figures of the frames ``indices``.
+
+    A handle is an artist or, where a symbol consists of several, a tuple of artists.
+    """
+
+    def dot(tone: float) -> Line2D:
+        colour = to_hex(PARTICLE_TONES(tone))
+        return Line2D([], [], linestyle="none", marker="o", color=colour, markersize=5.0)
+
+    def pose(colour: str) -> Line2D:
+        return Line2D(
+            [], [], linestyle="none", marker=arrow_marker(0.0), color=colour, markersize=10.0
+        )
+
+    searching = any(run.frames[i].status != "tracking" for i in indices)
+    entries: list[tuple[Artist | tuple[Artist, ...], str]] = [
+        (
+            tuple(dot(tone) for tone in (0.0, 0.5, 1.0)),
+            "particles; weight 1/10 000 or less … best",
+        ),
+        (
+            (Line2D([], [], color=style.ESTIMATE, linewidth=1.4), pose(style.ESTIMATE)),
+            "estimate (hollow: still searching)" if searching else "estimate",
+        ),
+    ]
+    ellipse = Line2D(
+        [], [], linestyle="none", marker="o", markersize=10.0, markerfacecolor="none",
+        markeredgecolor=style.ESTIMATE, markeredgewidth=1.3,
+    )  # fmt: skip
+    entries.append((ellipse, "95 % ellipse of the main cluster"))
+    if tracks.odometry is not None:
+        dashes = Line2D([], [], color=style.ODOMETRY, linewidth=1.5, linestyle=(0, (4.0, 1.6)))
+        entries.append(((dashes, pose(style.ODOMETRY)), "odometry alone"))
+    if tracks.groundtruth is not None:
+        band = Line2D([], [], color=style.TRUTH, linewidth=4.0, alpha=0.45)
+        entries.append(((band, pose(style.TRUTH)), "ground truth"))
+    if any(np.sum(run.frames[i].modes[:, 3] >= MIN_MODE_SHARE) > 1 for i in indices):
+        mode = Line2D(
+            [], [], linestyle="none", marker="D", markersize=8.0, markerfacecolor="none",
+            markeredgecolor=style.MODE, markeredgewidth=1.8,
+        )  # fmt: skip
+        entries.append((mode, "cluster and its share of the weight"))
+    recording = Line2D(
+        [], [], color=style.RECORDING, marker="o", markersize=4.0, markerfacecolor="white",
+        linewidth=1.1, markevery=[0],
+    )  # fmt: skip
+    recording.set_data([0.0, 1.0], [0.0, 0.0])
+    entries.append((recording, "recorded view and its direction"))
+    if surroundings.surface is not None:
+        wall = Line2D([], [], color=style.SURFACE, linewidth=3.0)
+        flat = Patch(facecolor="#F2F2F2", edgecolor=style.SURFACE)
+        entries.append(
+            (wall if surroundings.surface.is_wall else flat, "mapped surface that the views cover")
+        )
+    striped = Patch(
+        facecolor=_hex_of(style.UNCOVERED_LIGHT),
+        edgecolor=_hex_of(style.UNCOVERED_DARK),
+        hatch="//////",
+    )
+    entries.append((striped, "striped: no recorded view shows it"))
+    handles, labels = [entry[0] for entry in entries], [entry[1] for entry in entries]
+    return handles, labels, {tuple: HandlerTuple(ndivide=None, pad=0.4)}
+
+
+def _hex_of(colour: tuple[int, int, int]) -> str:
+    return "#" + "".join(f"{part:02x}" for part in colour)
