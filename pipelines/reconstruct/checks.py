@@ -7,7 +7,7 @@ angles under which the points were seen.
 """
 
 import sqlite3
-from collections.abc import Iterable
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,10 +25,11 @@ MIN_MEDIAN_FEATURES = 50
 MIN_REGISTERED_SHARE = 0.5
 MIN_POINTS_PER_IMAGE = 20
 MIN_TRIANGULATION_ANGLE = 3.0  # degrees, median over the points of the largest angle of each
-MAX_PANORAMIC_SHARE = 0.5
+MAX_PANORAMIC_SHARE = 0.8
 MAX_POINTS_MEASURED = 20_000
+MOVE_SIDEWAYS = "the camera has to move sideways, not turn on the spot"
 # COLMAP's kinds of image pairs (estimators/two_view_geometry.h).
-PANORAMIC, PLANAR_OR_PANORAMIC = 5, 6
+PANORAMIC = 5
 USABLE_PAIRS = (2, 3, 4, 5, 6, 8)
 
 
@@ -128,8 +129,8 @@ def check_database(findings: DatabaseFindings, names: dict[str, str]) -> None:
         names: name in the database -> name in the data set.
 
     Raises:
-        StageError: images without features, too few features, or images that show nothing in
-            common; the error names an image.
+        StageError: too few features (the poorest image is named), images that show nothing in
+            common, or a camera that only turned.
     """
     counts = {own: findings.features.get(name, 0) for name, own in names.items()}
     poorest = min(counts, key=lambda own: counts[own])
@@ -144,6 +145,12 @@ def check_database(findings: DatabaseFindings, names: dict[str, str]) -> None:
         raise StageError(
             f"no two of the {len(names)} images show the same features; they need about two "
             "thirds of overlap from one to the next"
+        )
+    panoramic = findings.panoramic_pairs / findings.verified_pairs
+    if panoramic > MAX_PANORAMIC_SHARE:
+        raise StageError(
+            f"no parallax: {100 * panoramic:.0f} % of the image pairs differ by a rotation alone; "
+            f"{MOVE_SIDEWAYS}"
         )
 
 
@@ -187,34 +194,30 @@ def _largest_angle(rays: FloatArray) -> float:
     return float(np.arccos(np.clip((directions @ directions.T).min(), -1.0, 1.0)))
 
 
-def check_model(
-    findings: ModelFindings, total: int, database: DatabaseFindings, sizes: Iterable[int]
-) -> None:
-    """Judges the best model of an attempt.
+def check_model(findings: ModelFindings, total: int, pieces: Sequence[int]) -> None:
+    """Judges one model.
 
     Args:
         findings: of the model.
         total: images that were handed in.
-        database: what was found there.
-        sizes: images in each model of the attempt, this one included.
+        pieces: images in each firmly connected piece that the attempt found.
 
     Raises:
-        StageError: too few images with a pose, too few points, or no parallax.
+        StageError: too few images with a pose, no parallax, or too few points.
     """
-    registered, pieces = findings.registered, sorted(sizes, reverse=True)
+    registered = findings.registered
     if registered < MIN_IMAGES or registered < MIN_REGISTERED_SHARE * total:
-        split = f"; they fall into pieces of {pieces} images" if len(pieces) > 1 else ""
+        largest = ", ".join(str(size) for size in sorted(pieces, reverse=True)[:5])
+        split = f" (the images fall into pieces of {largest})" if len(pieces) > 1 else ""
         raise StageError(
             f"only {registered} of {total} images could be posed together{split}; more overlap "
-            "between the images or --matcher exhaustive may help"
+            "between the images, --matcher exhaustive or more --max-features may help"
         )
-    panoramic = database.panoramic_pairs / max(1, database.verified_pairs)
     angle = findings.median_triangulation_angle
-    if panoramic > MAX_PANORAMIC_SHARE or angle < MIN_TRIANGULATION_ANGLE:
+    if angle < MIN_TRIANGULATION_ANGLE:
         raise StageError(
-            f"no parallax: points are seen under {angle:.1f} degrees (needed: "
-            f"{MIN_TRIANGULATION_ANGLE:.0f}) and {100 * panoramic:.0f} % of the image pairs differ "
-            "by a rotation alone; the camera has to move sideways, not turn on the spot"
+            f"no parallax: in the median, points are seen under {angle:.1f} degrees instead of at "
+            f"least {MIN_TRIANGULATION_ANGLE:.0f}; {MOVE_SIDEWAYS}"
         )
     if findings.median_points_per_image < MIN_POINTS_PER_IMAGE:
         raise StageError(

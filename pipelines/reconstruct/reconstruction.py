@@ -5,12 +5,11 @@ images with their times and hashes, the images that were dropped and why, statis
 """
 
 import json
-import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -29,6 +28,7 @@ from pipelines.reconstruct.colmap_model import (
     read_model,
     write_model,
 )
+from pipelines.reconstruct.json_fields import JsonFields, read_json_object
 
 FORMAT = "lfnav reconstruction"
 SCHEMA_VERSION = 1
@@ -40,8 +40,6 @@ SCALE_SOURCES = ("odometry", "given poses", "--scale", "arbitrary")
 MAX_DESCRIPTION_BYTES = 64 * 1024 * 1024
 UNKNOWN_COLOR = 128
 UNKNOWN_ERROR = -1.0
-
-Value = TypeVar("Value")
 
 
 def _no_pixels() -> FloatArray:
@@ -228,19 +226,19 @@ def load_reconstruction(path: Path) -> Reconstruction:
     if not source.exists():
         raise InputError(path, f"is not a reconstruction (holds no {DESCRIPTION_NAME})")
     description = _read_description(source)
-    _check_hashes(path, _Fields(source, description).get("files", dict))
+    _check_hashes(path, description.get("files", dict))
     model = read_model(path / MODEL_FOLDER)
     try:
-        return _assemble(path, _Fields(source, description), model)
+        return _assemble(path, description, model)
     except OptionError as error:
         raise InputError(source, str(error)) from error
 
 
-def _assemble(path: Path, fields: "_Fields", model: ColmapModel) -> Reconstruction:
+def _assemble(path: Path, fields: JsonFields, model: ColmapModel) -> Reconstruction:
     rows = fields.get("images", list)
     if not rows:
         raise InputError(fields.path, "the reconstruction holds no image with a pose")
-    entries = [_Fields(fields.path, row, f"images[{k}].") for k, row in enumerate(rows)]
+    entries = [JsonFields(fields.path, row, f"images[{k}].") for k, row in enumerate(rows)]
     names = tuple(_checked_name(entry) for entry in entries)
     by_name = {image.name: image for image in model.images}
     if len(by_name) != len(model.images) or set(by_name) != set(names) or len(rows) != len(names):
@@ -297,49 +295,8 @@ def observations_of(
     return np.column_stack([tracks[:, 0], rows]), pixels
 
 
-class _Fields:
-    """Typed access to a JSON object; what has another type is an error that names the key."""
-
-    def __init__(self, path: Path, value: object, prefix: str = "") -> None:
-        if not isinstance(value, dict):
-            raise InputError(path, f"{prefix.rstrip('.') or 'the content'} is not a JSON object")
-        self.path, self.prefix = path, prefix
-        self.values: dict[str, Any] = value
-
-    def get(self, key: str, kind: type[Value]) -> Value:
-        value = self.values.get(key)
-        # In Python a bool is an int as well.
-        if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
-            found = "is missing" if key not in self.values else f"is a {type(value).__name__}"
-            raise InputError(self.path, f"{self.prefix}{key} {found}, expected {kind.__name__}")
-        return value
-
-    def number(self, key: str) -> float:
-        value = self.values.get(key)
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise InputError(self.path, f"{self.prefix}{key} is not a number")
-        if abs(value) > 1e300 or not math.isfinite(value):
-            raise InputError(self.path, f"{self.prefix}{key} is out of range")
-        return float(value)
-
-    def choice(self, key: str, known: tuple[str, ...]) -> str:
-        value = self.get(key, str)
-        if value not in known:
-            reason = f"{self.prefix}{key} {value[:40]!r} is unknown"
-            raise InputError(self.path, reason, f"known are {', '.join(known)}")
-        return value
-
-
-def _read_description(path: Path) -> object:
-    def refuse_constant(name: str) -> object:
-        raise ValueError(f"{name} is no JSON number")
-
-    data = read_file(path, MAX_DESCRIPTION_BYTES)
-    try:
-        value = json.loads(data.decode("utf-8"), parse_constant=refuse_constant)
-    except (ValueError, RecursionError) as error:
-        raise InputError(path, f"is not valid JSON ({error})") from error
-    fields = _Fields(path, value)
+def _read_description(path: Path) -> JsonFields:
+    fields = read_json_object(path, MAX_DESCRIPTION_BYTES)
     if fields.values.get("format") != FORMAT:
         raise InputError(path, "is not the description of a reconstruction made by lfnav")
     version = fields.get("schema_version", int)
@@ -352,7 +309,7 @@ def _read_description(path: Path) -> object:
         )
     if version < 1:
         raise InputError(path, f"schema_version {version} does not exist")
-    return fields.values
+    return fields
 
 
 def _check_hashes(path: Path, hashes: dict[str, Any]) -> None:
@@ -367,7 +324,7 @@ def _check_hashes(path: Path, hashes: dict[str, Any]) -> None:
             )
 
 
-def _checked_name(entry: _Fields) -> str:
+def _checked_name(entry: JsonFields) -> str:
     name = entry.get("name", str)
     parts = PurePosixPath(name).parts
     if not parts or PurePosixPath(name).is_absolute() or ".." in parts or "\0" in name:
@@ -375,7 +332,7 @@ def _checked_name(entry: _Fields) -> str:
     return name
 
 
-def _image_root(path: Path, fields: _Fields, first_name: str) -> Path:
+def _image_root(path: Path, fields: JsonFields, first_name: str) -> Path:
     relative, absolute = fields.get("image_root", str), fields.get("image_root_absolute", str)
     if "\0" in relative + absolute:
         raise InputError(fields.path, "image_root holds a null character")
@@ -386,7 +343,7 @@ def _image_root(path: Path, fields: _Fields, first_name: str) -> Path:
     return together
 
 
-def _mount(fields: _Fields) -> FloatArray | None:
+def _mount(fields: JsonFields) -> FloatArray | None:
     value = fields.values.get("base_from_camera")
     if value is None:
         return None
@@ -406,7 +363,7 @@ def _mount(fields: _Fields) -> FloatArray | None:
     return mount
 
 
-def _texts(fields: _Fields, key: str) -> dict[str, str]:
+def _texts(fields: JsonFields, key: str) -> dict[str, str]:
     values = fields.get(key, dict)
     if not all(isinstance(text, str) for text in values.values()):
         raise InputError(fields.path, f"{key} does not map names to reasons")

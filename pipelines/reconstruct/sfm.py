@@ -35,6 +35,7 @@ from pipelines.reconstruct.checks import (
     read_findings,
 )
 from pipelines.reconstruct.colmap_model import ColmapModel, colmap_params, read_model
+from pipelines.reconstruct.connectivity import firm_pieces, restrict
 from pipelines.reconstruct.settings import ReconstructSettings
 from pipelines.reconstruct.sfm_worker import Request
 
@@ -116,17 +117,16 @@ def structure_from_motion(
     with tempfile.TemporaryDirectory(prefix="lfnav_sfm_") as name:
         folder = Path(name)
         request = _prepare(dataset, settings, folder)
-        attempts = _work(request, folder, dataset.root, progress)
-        findings = read_findings(Path(request.database))
         own_names = dict(zip(request.names, dataset.image_names, strict=True))
         try:
-            check_database(findings, own_names)
+            attempts = _work(request, folder, own_names, progress)
+            findings = read_findings(Path(request.database))
             model, measured, attempt = _best_model(attempts, count, findings)
         except StageError as error:
             raise StageError(f"{dataset.root}: {error}") from error
     posed = {image.name for image in model.images}
     dropped = {
-        own: f"structure from motion found no pose ({findings.features.get(name, 0)} features)"
+        own: f"structure from motion found no firm pose ({findings.features.get(name, 0)} features)"
         for name, own in own_names.items()
         if name not in posed
     }
@@ -181,23 +181,28 @@ def _prepare(dataset: Dataset, settings: ReconstructSettings, folder: Path) -> R
 Attempts = list[tuple[str, list[tuple[str, int]]]]
 
 
-def _work(request: Request, folder: Path, root: Path, progress: Progress) -> Attempts:
+def _work(
+    request: Request, folder: Path, own_names: dict[str, str], progress: Progress
+) -> Attempts:
     """Runs the worker; the models that each attempt left, as folders and numbers of images."""
     attempts: Attempts = []
     pair_lines = Path(request.pairs).read_text(encoding="utf-8").splitlines()
     totals = {"features": len(request.names), "matching": len(pair_lines)}
     with _Worker(request, folder) as worker:
-        event = worker.next_event(root)
+        event = worker.next_event()
         while event["phase"] != "done":
             if event["phase"] == "models":
                 attempts.append((event["attempt"], [(p, n) for p, n in event["models"]]))
                 _log.info("%s mapping: models of %s images", *_sizes_of(attempts[-1]))
-                event = worker.next_event(root)
+                event = worker.next_event()
                 continue
             phase = str(event["phase"])
+            if phase == "mapping" and not attempts:
+                # Mapping what cannot succeed takes longest.
+                check_database(read_findings(Path(request.database)), own_names)
             text = PHASE_TEXTS.get(phase, f"mapping ({event.get('attempt', '')})")
             total = totals.get(phase, len(request.names))
-            steps = worker.steps(COUNTED_TABLES.get(phase), total, root)
+            steps = worker.steps(COUNTED_TABLES.get(phase), total)
             for _ in progress(steps, text, total):
                 pass
             event = worker.last_event
@@ -211,19 +216,19 @@ def _sizes_of(attempt: tuple[str, list[tuple[str, int]]]) -> tuple[str, list[int
 def _best_model(
     attempts: Attempts, total: int, database: DatabaseFindings
 ) -> tuple[ColmapModel, ModelFindings, str]:
-    """The model with the most images that passes the checks, its measures, its attempt."""
-    candidates = [
-        (count, path, name, [size for _, size in models])
-        for name, models in attempts
-        for path, count in models
-    ]
-    candidates.sort(key=lambda candidate: -candidate[0])
+    """The firm model with the most images that passes the checks, its measures, its attempt."""
+    candidates: list[tuple[ColmapModel, str, list[int]]] = []
+    for name, models in attempts:
+        found = [read_model(Path(path)) for path, _ in models]
+        pieces = [(model, rows) for model in found for rows in firm_pieces(model)]
+        sizes = [len(rows) for _, rows in pieces]
+        candidates += [(restrict(model, rows), name, sizes) for model, rows in pieces]
+    candidates.sort(key=lambda candidate: -len(candidate[0].images))
     failures: list[StageError] = []
-    for _, path, name, sizes in candidates:
-        model = read_model(Path(path))
+    for model, name, sizes in candidates:
         findings = measure(model)
         try:
-            check_model(findings, total, database, sizes)
+            check_model(findings, total, sizes)
         except StageError as error:
             failures.append(error)
             continue
@@ -285,7 +290,7 @@ class _Worker:
             self._lines.put(line)
         self._lines.put(None)
 
-    def next_event(self, root: Path, timeout: float | None = None) -> dict[str, Any]:
+    def next_event(self, timeout: float | None = None) -> dict[str, Any]:
         """The next event; ``queue.Empty`` after ``timeout`` seconds.
 
         Raises:
@@ -293,27 +298,26 @@ class _Worker:
         """
         line = self._lines.get(timeout=timeout)
         if line is None:
-            raise StageError(f"{root}: {self._epitaph()}")
+            raise StageError(self._epitaph())
         event = json.loads(line)
         if not isinstance(event, dict) or "phase" not in event:
-            raise StageError(f"{root}: the worker for structure from motion said {line!r}")
+            raise StageError(f"the worker for structure from motion said {line!r}")
         if event["phase"] != "image":
             self.last_event = event
         return event
 
-    def steps(self, table: str | None, total: int, root: Path) -> Iterator[int]:
+    def steps(self, table: str | None, total: int) -> Iterator[int]:
         """Yields once for each finished item of a phase, until the next phase begins.
 
         Args:
             table: of the database, whose rows are the finished items; None: they are announced.
             total: items at most.
-            root: the data set, for error texts.
         """
         done = 0
         while True:
             finished = done
             try:
-                event = self.next_event(root, timeout=POLL_SECONDS)
+                event = self.next_event(timeout=POLL_SECONDS)
                 if event["phase"] != "image":
                     return
                 finished += 1

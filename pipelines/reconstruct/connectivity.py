@@ -1,0 +1,76 @@
+"""The part of a model that hangs together firmly.
+
+A mapper may join pieces of a scene by a handful of shared points, or by none. Each piece is right
+in itself, every measure of fit is good, and the pieces lie anywhere relative to each other.
+"""
+
+import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
+
+from pipelines.artifacts.array_types import IntArray
+from pipelines.reconstruct.colmap_model import NO_POINT, ColmapModel, ModelImage, ModelPoints
+
+# Points that two images have to share to hold each other: six fix a pose, the rest are against
+# chance. A sequence that broke apart had at most 19 between its pieces, a sound one hundreds.
+FIRM_SHARED_POINTS = 20
+
+
+def firm_pieces(model: ColmapModel) -> list[list[int]]:
+    """Groups of images, linked by pairs that share at least ``FIRM_SHARED_POINTS`` points.
+
+    Returns:
+        Rows of ``model.images``, each group ascending; the largest group first.
+    """
+    count = len(model.images)
+    if count == 0:
+        return []
+    row_of_image = {image.identifier: row for row, image in enumerate(model.images)}
+    tracks = model.points.tracks
+    rows = [row_of_image[number] for number in tracks[:, 1].tolist()]
+    shape = (count, len(model.points.positions))
+    sees = csr_matrix((np.ones(len(tracks)), (rows, tracks[:, 0])), shape=shape)
+    # An image may see a point twice; it counts once.
+    sees.data[:] = 1.0
+    shared = (sees @ sees.T).toarray()  # [N, N]
+    _, labels = connected_components((shared >= FIRM_SHARED_POINTS).astype(np.int8), directed=False)
+    groups = [np.flatnonzero(labels == label).tolist() for label in np.unique(labels)]
+    return sorted(groups, key=lambda group: (-len(group), group))
+
+
+def restrict(model: ColmapModel, rows: list[int]) -> ColmapModel:
+    """The model with some of its images only, and with the points that two of them still see.
+
+    Args:
+        model: is not changed.
+        rows: of ``model.images``, to be kept.
+    """
+    kept = [model.images[row] for row in rows]
+    tracks, points = model.points.tracks, model.points
+    of_kept = np.isin(tracks[:, 1], [image.identifier for image in kept])
+    lengths = np.bincount(tracks[of_kept, 0], minlength=len(points.positions))
+    sound = lengths >= 2
+    new_row = np.cumsum(sound) - 1
+    chosen = tracks[of_kept & sound[tracks[:, 0]]]
+    new_tracks = np.column_stack([new_row[chosen[:, 0]], chosen[:, 1:]])
+    new_points = ModelPoints(
+        points.identifiers[sound],
+        points.positions[sound],
+        points.colors[sound],
+        points.errors[sound],
+        new_tracks,
+    )
+    images = tuple(_without_points(image, points.identifiers[~sound]) for image in kept)
+    return ColmapModel(model.cameras, images, new_points)
+
+
+def _without_points(image: ModelImage, gone: IntArray) -> ModelImage:
+    points = np.where(np.isin(image.points, gone), NO_POINT, image.points)
+    return ModelImage(
+        image.identifier,
+        image.name,
+        image.camera,
+        image.camera_from_world,
+        image.keypoints,
+        points,
+    )
