@@ -1,0 +1,72 @@
+"""``lfnav model``: a scene model from a reconstruction."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from lfnav_cli.common import (
+    common_options,
+    json_option,
+    overwrite_option,
+    parse_numbers,
+    print_summary,
+)
+
+if TYPE_CHECKING:
+    from pipelines.artifacts.progress import Progress
+
+
+@click.command("model")
+@click.argument("reconstruction", type=click.Path(path_type=Path))
+@click.option(
+    "-o", "--output", required=True, type=click.Path(path_type=Path), help="File to write."
+)
+@click.option(
+    "--geometry",
+    type=click.Choice(["plane"]),
+    default="plane",
+    show_default=True,
+    help="What stands for the scene's surface.",
+)
+@click.option(
+    "--plane",
+    metavar="A,B,C,D",
+    callback=parse_numbers(4, "A,B,C,D"),
+    help="The plane a x + b y + c z + d = 0 in world coordinates. Default: estimated.",
+)
+@click.option(
+    "--images",
+    type=click.Path(path_type=Path),
+    help="Folder of the photos, where they have moved since the reconstruction.",
+)
+@click.option("--seed", type=int, default=0, show_default=True, help="Random seed.")
+@overwrite_option
+@json_option
+@common_options
+def command(
+    reconstruction: Path,
+    output: Path,
+    geometry: str,
+    plane: tuple[float, ...] | None,
+    images: Path | None,
+    seed: int,
+    overwrite: bool,
+    as_json: bool,
+    progress: "Progress",
+) -> None:
+    """Turns the folder RECONSTRUCTION into a light-field scene model.
+
+    The scene's surface is one plane. It is estimated from the sparse points where the
+    reconstruction has some, else from the photos: the plane over which they agree best.
+
+    \b
+    Example:
+      lfnav model out/elevators -o out/elevators.h5
+      lfnav model out/elevators -o out/elevators.h5 --plane 0,1,0,0
+    """
+    from pipelines.lightfield.stage import ModelSettings, model
+
+    settings = ModelSettings(geometry=geometry, plane=plane, images=images, seed=seed)
+    summary = model(reconstruction, output, settings, overwrite=overwrite, progress=progress)
+    print_summary(summary, as_json)

@@ -1,0 +1,85 @@
+"""What a scene model contains, for people and programs."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipelines.geometry.pose import camera_heading_of
+from pipelines.lightfield.bundle import load_scene
+from pipelines.lightfield.scene import Scene
+
+
+@dataclass(frozen=True)
+class SceneSummary:
+    """A scene model and the file that holds it."""
+
+    path: Path
+    scene: Scene
+
+    def table(self) -> list[tuple[str, ...]]:
+        """Rows for people."""
+        facts = self.to_dict()
+        plane, bounds = facts["plane"], facts["bounds_m"]
+        return [
+            ("scene", str(self.path)),
+            ("views", f"{facts['views']} ({facts['image_megabytes']:.1f} MB as recorded)"),
+            ("cameras", ", ".join(facts["cameras"])),
+            ("plane", "{:.4f} x + {:.4f} y + {:.4f} z + {:.4f} = 0".format(*plane["coefficients"])),
+            ("plane from", _origin(plane)),
+            ("area", "x {:.2f} to {:.2f} m, y {:.2f} to {:.2f} m".format(*bounds)),
+            ("viewing directions", "{:.0f} to {:.0f} deg".format(*facts["headings_deg"])),
+            ("scale from", facts["scale_source"]),
+            ("robot mount", "yes" if facts["has_mount"] else "no"),
+        ]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON types."""
+        scene = self.scene
+        headings = np.degrees(np.unwrap(camera_heading_of(scene.world_from_camera)))
+        surface = scene.surface
+        return {
+            "path": str(self.path),
+            "kind": "scene",
+            "views": len(scene),
+            "image_megabytes": sum(map(len, scene.encoded_images)) / 1e6,
+            "cameras": [f"{c.model} {c.width}x{c.height}" for c in scene.cameras],
+            "plane": {
+                "coefficients": scene.plane.coefficients().tolist(),
+                "method": surface.method,
+                "quality": surface.quality,
+                "offset_sigma_m": _finite(surface.offset_sigma),
+                "angle_sigma_deg": _finite(float(np.degrees(surface.angle_sigma))),
+            },
+            "bounds_m": scene.bounds.tolist(),
+            "headings_deg": [float(headings.min()), float(headings.max())],
+            "scale_source": scene.scale_source,
+            "has_mount": scene.base_from_camera is not None,
+            "identifier": scene.identifier,
+        }
+
+
+def describe_scene(path: Path) -> SceneSummary:
+    """Reads a scene model.
+
+    Raises:
+        InputError: as ``load_scene``.
+    """
+    return SceneSummary(path, load_scene(path))
+
+
+def _origin(plane: dict[str, Any]) -> str:
+    if plane["method"] == "given":
+        return "given"
+    if plane["offset_sigma_m"] is None or plane["angle_sigma_deg"] is None:
+        certainty = "uncertainty unknown"
+    else:
+        certainty = f"+-{plane['offset_sigma_m'] * 100:.1f} cm, {plane['angle_sigma_deg']:.2f} deg"
+    if plane["method"] == "points":
+        return f"sparse points ({plane['quality']:.0%} of them on it, {certainty})"
+    return f"the photos (correlation {plane['quality']:.2f}, {certainty})"
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
