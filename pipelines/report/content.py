@@ -1,6 +1,7 @@
 """What the page says about a run: numbers, notes, and how to read each figure."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -40,12 +41,18 @@ FRAME_CAPTION = (
 )
 
 
-def page_of(content: Content, scene: Scene, figures: Mapping[str, bytes]) -> Page:
+def page_of(
+    content: Content,
+    scene: Scene,
+    scene_origin: Mapping[str, Any],
+    figures: Mapping[str, bytes],
+) -> Page:
     """The page of a run.
 
     Args:
         content: what the figures show.
         scene: the scene model.
+        scene_origin: its provenance.
         figures: name -> PNG, in the order in which the page shows them.
     """
     run, tracks = content.run, content.tracks
@@ -59,7 +66,7 @@ def page_of(content: Content, scene: Scene, figures: Mapping[str, bytes]) -> Pag
         tables=[_error_table(tracks), _course_table(run)],
         notes=_notes(tracks),
         pictures=[_picture(name, png, content) for name, png in figures.items()],
-        details=_details(run, scene),
+        details=_details(run, scene, scene_origin),
     )
 
 
@@ -147,7 +154,7 @@ def _errors_caption(tracks: Tracks) -> str:
     )
 
 
-def _details(run: Run, scene: Scene) -> list[Table]:
+def _details(run: Run, scene: Scene, scene_origin: Mapping[str, Any]) -> list[Table]:
     camera = run.camera
     surface = scene.surface
     origin = [
@@ -163,8 +170,14 @@ def _details(run: Run, scene: Scene) -> list[Table]:
         *flattened(run.provenance),
     ]
     settings = [("seed", str(run.seed)), *flattened(run.settings)]
-    return [Table("Settings of the filter", settings), Table("Origin", origin)]
+    return [
+        Table("Settings of the filter", settings),
+        Table("Origin of the run", origin),
+        Table("Origin of the scene", flattened(scene_origin)),
+    ]
 
 
 def _plane_uncertainty(offset_sigma: float, angle_sigma: float) -> str:
+    if not (np.isfinite(offset_sigma) and np.isfinite(angle_sigma)):
+        return "unknown"
     return f"\u03c3 {100.0 * offset_sigma:.1f} cm, {np.degrees(angle_sigma):.2f}\u00b0"

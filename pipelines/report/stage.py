@@ -7,7 +7,7 @@ from typing import Any
 from pipelines.artifacts.atomic import atomic_folder, check_output
 from pipelines.artifacts.errors import InputError, LfnavError, OptionError
 from pipelines.artifacts.progress import Progress, no_progress
-from pipelines.lightfield.bundle import load_scene
+from pipelines.lightfield.bundle import load_scene, scene_provenance
 from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.run import Run, check_run_belongs_to, load_run, locate_scene
@@ -95,11 +95,14 @@ def report(
     """
     check_output(output, overwrite, PAGE_NAME)
     run = load_run(run_path)
-    scene = _matching_scene(run, run_path, settings.scene)
+    scene_path = _scene_path(run, run_path, settings.scene)
+    scene = load_scene(scene_path)
+    check_run_belongs_to(run, scene.identifier, run_path, scene_path)
     indices = chosen_frames(settings.frames, len(run.frames))
     content = _content(run, run_path, scene, indices, settings.estimate, progress)
     figures = _drawn(content, progress)
-    page = page_of(content, scene, {name: png for name, (png, _) in figures.items()})
+    pngs = {name: png for name, (png, _) in figures.items()}
+    page = page_of(content, scene, scene_provenance(scene_path), pngs)
     with atomic_folder(output, overwrite, PAGE_NAME) as folder:
         (folder / PAGE_NAME).write_text(html_of(page), encoding="utf-8")
         (folder / FIGURE_FOLDER).mkdir()
@@ -127,7 +130,7 @@ def chosen_frames(wanted: tuple[int, ...] | None, count: int) -> tuple[int, ...]
     return tuple(sorted(set(wanted)))
 
 
-def _matching_scene(run: Run, run_path: Path, given: Path | None) -> Scene:
+def _scene_path(run: Run, run_path: Path, given: Path | None) -> Path:
     path = locate_scene(run, run_path) if given is None else given
     if given is None and not path.is_file():
         raise InputError(
@@ -135,9 +138,7 @@ def _matching_scene(run: Run, run_path: Path, given: Path | None) -> Scene:
             f"is not there, but {run_path} was made with it",
             "say where the scene is now with --scene",
         )
-    scene = load_scene(path)
-    check_run_belongs_to(run, scene.identifier, run_path, path)
-    return scene
+    return path
 
 
 def _content(
