@@ -11,9 +11,10 @@ from scipy.sparse.csgraph import connected_components
 from pipelines.artifacts.array_types import IntArray
 from pipelines.reconstruct.colmap_model import NO_POINT, ColmapModel, ModelImage, ModelPoints
 
-# Points that two images have to share to hold each other: six fix a pose, the rest are against
-# chance. A sequence that broke apart had at most 19 between its pieces, a sound one hundreds.
-FIRM_SHARED_POINTS = 20
+# Points that two images have to share to hold each other; as many as a mapper asks for to pose one
+# image. Walks with weak overlap broke between images that shared 19 and 29 points (0.4 and 2.8 m
+# off); where neighbours overlap as they should they share hundreds.
+FIRM_SHARED_POINTS = 30
 
 
 def firm_pieces(model: ColmapModel) -> list[list[int]]:

@@ -53,6 +53,9 @@ ESTIMATED_CAMERA_MODEL = "SIMPLE_RADIAL"
 COUNTED_TABLES = {"features": "keypoints", "matching": "two_view_geometries"}
 PHASE_TEXTS = {"features": "finding features", "matching": "matching images"}
 
+# -P: without the current folder among the places that are searched for modules.
+WORKER_COMMAND = (sys.executable, "-P", "-m", "pipelines.reconstruct.sfm_worker")
+
 _log = logging.getLogger(__name__)
 
 
@@ -252,13 +255,10 @@ class _Worker:
         self._lines: queue.Queue[str | None] = queue.Queue()
         request_path = folder / "request.json"
         request_path.write_text(json.dumps(asdict(request)), encoding="utf-8")
-        self._command = [
-            *(sys.executable, "-P", "-m", "pipelines.reconstruct.sfm_worker"),
-            str(request_path),
-        ]
+        self._command = [*WORKER_COMMAND, str(request_path)]
 
     def __enter__(self) -> "_Worker":
-        # -P and the explicit path: nothing is imported from whatever folder this runs in.
+        # With -P and the explicit path nothing is imported from whatever folder this runs in.
         home = str(Path(next(iter(pipelines.__path__))).parent)
         search = [home, *filter(None, [os.environ.get("PYTHONPATH")])]
         with self.log_path.open("wb") as log:
@@ -299,7 +299,10 @@ class _Worker:
         line = self._lines.get(timeout=timeout)
         if line is None:
             raise StageError(self._epitaph())
-        event = json.loads(line)
+        try:
+            event = json.loads(line)
+        except ValueError:
+            event = None
         if not isinstance(event, dict) or "phase" not in event:
             raise StageError(f"the worker for structure from motion said {line!r}")
         if event["phase"] != "image":
