@@ -3,6 +3,7 @@
 import base64
 import io
 import re
+import warnings
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -131,7 +132,8 @@ def test_names_from_files_are_shown_and_never_interpreted(hostile: Path) -> None
     assert "<script" not in html
     assert "<img src=http" not in html
     assert page.tags.count("img") == 3
-    assert page.text.count(HOSTILE) >= 4
+    # Title, heading, data set, setting and its value, hash and its value, image.
+    assert page.text.count(HOSTILE) == 8
     assert re.search(r"default-src 'none'; img-src data:", html)
 
 
@@ -297,6 +299,12 @@ def test_figures_do_not_depend_on_the_users_settings_nor_change_them() -> None:
             assert not mpl.rcParams["axes.grid"]
             assert not mpl.rcParams["text.parse_math"]
         assert mpl.rcParams["font.size"] == 40.0
+
+
+def test_names_in_scripts_that_the_font_lacks_give_no_warning(tmp_path: Path) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        small_report(tmp_path, wall_run(image_name="\u6b63\u9580/{}.png"))
 
 
 def test_png_is_what_the_page_shows(plain: Path) -> None:

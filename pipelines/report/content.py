@@ -140,6 +140,8 @@ def _picture(name: str, png: bytes, content: Content) -> Picture:
     index = int(name.removeprefix("frame_"))
     caption = FRAME_CAPTION if index == next(iter(content.views)) else "Read as the figure above."
     alternative = f"Frame {index} of {dataset}: pictures, top view, close-up, difference"
+    image_name = content.run.frames[index].image_name
+    caption = f"Camera image: {image_name}. {caption}"
     return Picture(f"Frame {index}", png, alternative, caption)
 
 

@@ -4,6 +4,7 @@ The colours are those of Okabe and Ito (2008), which people with any common colo
 tell apart; each meaning also has its own line style or marker, for print in grey.
 """
 
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, cast
@@ -73,7 +74,9 @@ _SETTINGS: dict[str, Any] = {
 def figure_style() -> Iterator[None]:
     """Draws inside this block look the same whatever the user's own matplotlib settings are."""
     keep = {"backend", "backend_fallback", "interactive", "toolbar", "timezone"}
-    with mpl.rc_context():
+    with warnings.catch_warnings(), mpl.rc_context():
+        # A name in a script that the font lacks shows as boxes; the page has it in full.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
         for name, value in mpl.rcParamsDefault.items():
             if name not in keep:
                 mpl.rcParams[name] = value

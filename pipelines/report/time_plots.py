@@ -255,7 +255,7 @@ def _shade_statuses(axes: Axes, run: Run) -> list[Patch]:
         end = start + len(list(group))
         colour, hatch = style.STATUS_SHADE.get(status, style.UNKNOWN_STATUS_SHADE)
         meaning = style.STATUS_MEANING.get(status, status)
-        edge = style.HATCH_COLOUR
+        edge = style.HATCH_COLOUR if hatch else style.FAINT
         patches[status] = Patch(
             facecolor=colour, edgecolor=edge, hatch=hatch, linewidth=0.6, label=meaning
         )
