@@ -1,1 +1,1 @@
-"""Floor 1: poses, cameras, planes, trajectories. Pure functions of arrays, no files but TUM text."""
+"""Floor 1: poses, cameras, planes, trajectories: functions of arrays; of files only TUM text."""

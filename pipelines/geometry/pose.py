@@ -51,7 +51,7 @@ def pose_from_quaternion(translation: ArrayLike, quaternion_xyzw: ArrayLike) -> 
 
 
 def quaternion_of(pose: FloatArray) -> FloatArray:
-    """Unit quaternions ``(..., 4)``, scalar last and non-negative, of transforms ``(..., 4, 4)``."""
+    """Unit quaternions ``(..., 4)``, scalar last and not negative, of poses ``(..., 4, 4)``."""
     rotation = Rotation.from_matrix(pose[..., :3, :3].reshape(-1, 3, 3))
     quaternion = rotation.as_quat(canonical=True)
     return np.asarray(quaternion.reshape(*pose.shape[:-2], 4), dtype=np.float64)

@@ -1,7 +1,7 @@
 """Timed poses: the TUM text format, association by time, increments.
 
-The TUM format is a line ``timestamp tx ty tz qx qy qz qw`` a pose, ``#`` starting a comment; see the
-TUM RGB-D benchmark (Sturm et al. 2012).
+The TUM format is a line ``timestamp tx ty tz qx qy qz qw`` a pose, ``#`` starting a comment; see
+the TUM RGB-D benchmark (Sturm et al. 2012).
 """
 
 from dataclasses import dataclass

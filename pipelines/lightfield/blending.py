@@ -1,17 +1,17 @@
 """Which views a pixel is blended from: the choice of rule, and the second rule, readable.
 
-``DELAUNAY`` is the paper's net (module ``net``). ``UNSTRUCTURED`` follows Buehler, Bosse, McMillan, Gortler,
-Cohen (2001), "Unstructured lumigraph rendering": at a surface point the views are ranked by a penalty
-for the angle between their ray and the virtual one and for a coarser resolution; the k best share the
-weight, which falls to zero where the next one takes over. As there, weights are evaluated on a coarse
-grid and interpolated: here on tiles of the virtual image, linear inside each.
+``DELAUNAY`` is the paper's net (module ``net``). ``UNSTRUCTURED`` follows Buehler, Bosse, McMillan,
+Gortler, Cohen (2001), "Unstructured lumigraph rendering": at a surface point the views are ranked
+by a penalty for the angle between their ray and the virtual one and for a coarser resolution; the k
+best share the weight, which falls to zero where the next one takes over. As there, weights are
+evaluated on a coarse grid and interpolated: here on tiles of the virtual image, linear inside each.
 """
 
 from enum import IntEnum
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.array_types import FloatArray, IntArray
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
 from pipelines.lightfield.net import PixelWeights, sees
@@ -99,14 +99,14 @@ def _tile(
     intrinsics: Intrinsics,
     origin: tuple[float, float],
     size: tuple[float, float],
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[IntArray, FloatArray]:
     """The best views at a tile's centre, ``(k,)``, and their weights at its corners, ``(4, k)``."""
     centre = np.array([origin[0] + size[0] / 2, origin[1] + size[1] / 2, 1.0])
     if centre @ facing >= 0.0:
         return np.empty(0, dtype=np.int64), np.empty((4, 0))
     seen = sees(maps @ centre, views.level_size[:, 0, 0], views.level_size[:, 0, 1])
     seen &= plane.signed_distance(views.centres) > 0.0
-    candidates = np.flatnonzero(seen)
+    candidates = np.flatnonzero(seen).astype(np.int64)
     penalty = _penalties(views, plane, centre, world_from_camera, intrinsics)[candidates]
     order = np.argsort(penalty, kind="stable")
     best = candidates[order[:VIEWS_PER_TILE]]

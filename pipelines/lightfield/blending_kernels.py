@@ -1,7 +1,7 @@
 """Unstructured-lumigraph weights, fast: the same tiles as ``blending``, compiled into cells.
 
-A tile is a cell in the sense of ``net_kernels``: three views, each with a weight that is linear in the
-pixel, so that the renderer need not know which rule made it.
+A tile is a cell in the sense of ``net_kernels``: three views, each with a weight that is linear in
+the pixel, so that the renderer need not know which rule made it.
 """
 
 import numpy as np

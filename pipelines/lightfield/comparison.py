@@ -1,9 +1,9 @@
 """How different is a rendered view from a camera image? One cost in [0, 1] for each.
 
 All costs share one signature, so that the filter can use any. The paper compares pixel by pixel
-(``squared``, section 6); the others stand beside it for light that changes (``zncc``, ``gradient``) and
-for things that are not in the model (``robust``). A pixel that no view covers costs as much as a bad
-one, so that looking at nothing never wins.
+(``squared``, section 6); the others stand beside it for light that changes (``zncc``, ``gradient``)
+and for things that are not in the model (``robust``). A pixel that no view covers costs as much as
+a bad one, so that looking at nothing never wins.
 """
 
 from enum import IntEnum
@@ -43,7 +43,7 @@ LARGEST_GAIN = 1.5
 
 @compiled
 def best_gain(image: Float32Array, covered: BoolArray, query: Float32Array) -> float:
-    """The factor, within 1 / LARGEST_GAIN to LARGEST_GAIN, that fits ``image`` to ``query`` best."""
+    """The factor, between 1 / LARGEST_GAIN and LARGEST_GAIN, that fits the image best."""
     product, square = 0.0, 0.0
     for y in range(image.shape[0]):
         for x in range(image.shape[1]):

@@ -1,7 +1,7 @@
 """How the fast path is compiled: one decorator, so that all kernels agree."""
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import TypeVar, cast
 
 from numba import njit
 
@@ -15,5 +15,5 @@ def compiled(function: Function) -> Function:
     fuse multiplication and addition; infinities and NaN keep their meaning.
     """
     decorate = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-    result: Function = decorate(function)
-    return result
+    # To callers a compiled function is the function that it was made from.
+    return cast("Function", decorate(function))

@@ -115,7 +115,7 @@ def sample_view(
     texels: ImageArray,
     level_start: IntArray,
     level_size: IntArray,
-) -> tuple[bool, float, float, float]:
+) -> tuple[bool, np.float32, np.float32, np.float32]:
     """Whether a view shows a virtual pixel, and its red, green, blue there.
 
     Arrays of all views come in whole: a slice of one view would cost more than the sample.

@@ -69,8 +69,8 @@ def project_centres(
 def is_one_dimensional(centres: FloatArray, virtual_centre: FloatArray) -> bool:
     """Whether all recording centres and the virtual centre lie (nearly) in one plane.
 
-    Then the projected centres are collinear and no Delaunay triangulation exists. A robot that moves
-    in a plane is always in this situation.
+    Then the projected centres are collinear and no Delaunay triangulation exists. A robot that
+    moves in a plane is always in this situation.
 
     Args:
         centres: ``(N, 3)`` world coordinates.
@@ -174,7 +174,7 @@ def _weights_in_triangles(corners: FloatArray, pixels: FloatArray) -> tuple[IntA
     partial = np.einsum("nij,nj->ni", transform[:, :2], pixels[inside] - transform[:, 2])
     weights[inside] = np.column_stack([partial, 1.0 - partial.sum(axis=1)])
     views[inside] = triangulation.simplices[simplex[inside]]
-    outline = ConvexHull(corners).vertices
+    outline = ConvexHull(corners).vertices.astype(np.int64)
     views[~inside], weights[~inside] = _weights_beyond(corners, outline, pixels[~inside])
     weights = np.clip(weights, 0.0, 1.0)
     return views, weights / weights.sum(axis=1, keepdims=True)
@@ -199,7 +199,7 @@ def _weights_beyond(
     )
 
 
-def sees(homogeneous: FloatArray, width: FloatArray | int, height: FloatArray | int) -> BoolArray:
+def sees(homogeneous: FloatArray, width: IntArray | int, height: IntArray | int) -> BoolArray:
     """Whether homogeneous pixels ``(..., 3)`` lie in front of a view and inside its image."""
     depth = homogeneous[..., 2]
     with np.errstate(divide="ignore", invalid="ignore"):

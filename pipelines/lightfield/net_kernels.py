@@ -6,7 +6,8 @@ interval of a one-dimensional net, the strip beyond an outer edge (third weight 
 beyond an outer corner (one weight 1). A label image says which cell a pixel lies in.
 
 The triangulation is Bowyer's and Watson's incremental algorithm (1981) with ghost triangles: the
-corner ``GHOST`` stands for the point at infinity, so that the hull needs no artificial outer triangle.
+corner ``GHOST`` stands for the point at infinity, so that the hull needs no artificial outer
+triangle.
 """
 
 import numpy as np

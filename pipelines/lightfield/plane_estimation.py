@@ -1,8 +1,8 @@
 """The scene's dominant plane, from sparse points or from the photos alone, and how sure it is.
 
-From points: RANSAC with a truncated quadratic score (MSAC, Torr and Zisserman 2000), then least squares
-on the inliers. From photos: plane-induced homographies between pairs of views; the plane is the one
-under which the pairs agree best in local zero-mean normalised cross-correlation.
+From points: RANSAC with a truncated quadratic score (MSAC, Torr and Zisserman 2000), then least
+squares on the inliers. From photos: plane-induced homographies between pairs of views; the plane is
+the one under which the pairs agree best in local zero-mean normalised cross-correlation.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,8 @@ from pipelines.geometry.pose import inverse
 from pipelines.lightfield.scene import PlaneEstimate
 from pipelines.lightfield.views import Views
 
-# A plane seen at a smaller angle than this (sine) is no surface to render from: a floor, a side wall.
+# A plane seen at a smaller angle than this (sine) is no surface to render from: a floor, a side
+# wall.
 SMALLEST_INCIDENCE = 0.25
 MIN_POINTS = 30
 RANSAC_ROUNDS = 2000
@@ -121,8 +122,8 @@ def plane_from_photos(
 ) -> PlaneEstimate:
     """The plane over which pairs of photos agree best.
 
-    A grid over the plane's direction and distance at low resolution, then a simplex search at higher
-    ones; how sure the result is comes from a jackknife over groups of pairs.
+    A grid over the plane's direction and distance at low resolution, then a simplex search at
+    higher ones; how sure the result is comes from a jackknife over groups of pairs.
 
     Args:
         views: the photos.
@@ -140,7 +141,7 @@ def plane_from_photos(
         )
     frame = _SearchFrame.of_poses(world_from_camera)
     coarse = _grey_views(views, world_from_camera, _spread(pairs, COARSE_PAIRS), COARSE_WIDTH)
-    candidates = _grid(frame)
+    candidates = _grid()
     scores = np.array(
         [
             _correlation(coarse, frame.plane(candidate))
@@ -216,7 +217,7 @@ class _SearchFrame:
         return plane_from_coefficients(np.append(normal, -normal @ foot))
 
 
-def _grid(frame: _SearchFrame) -> list[FloatArray]:
+def _grid() -> list[FloatArray]:
     angles = np.radians(np.arange(-60.0, 61.0, 12.0))
     tilts = np.radians([-30.0, 0.0, 30.0])
     distances = np.log(np.geomspace(0.4, 40.0, 24))
@@ -242,8 +243,12 @@ def _refine(
 ) -> FloatArray:
     """Simplex search from ``start`` with steps of size ``step`` in all three parameters."""
     simplex = np.vstack([start, start + step * np.eye(3)])
+
+    def disagreement(candidate: FloatArray) -> float:
+        return -_correlation(photos, frame.plane(candidate))
+
     result = minimize(
-        lambda candidate: -_correlation(photos, frame.plane(candidate)),
+        disagreement,
         start,
         method="Nelder-Mead",
         options={
@@ -259,7 +264,7 @@ def _refine(
 def _jackknife(
     photos: _PairwiseViews, frame: _SearchFrame, best: FloatArray, progress: Progress
 ) -> tuple[float, float]:
-    """Standard deviations of offset (metres) and direction (radians), one group of pairs left out."""
+    """Standard deviations of offset (metres) and direction (radians), leaving out pairs."""
     groups = min(JACKKNIFE_GROUPS, len(photos.pairs))
     if groups < 2:
         return float("inf"), float("inf")

@@ -5,7 +5,7 @@ It is the truth that the fast path is tested against, and too slow for anything 
 
 import numpy as np
 
-from pipelines.artifacts.array_types import BoolArray, FloatArray, IntArray
+from pipelines.artifacts.array_types import BoolArray, FloatArray, ImageArray, IntArray
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
 from pipelines.lightfield.blending import Blending, unstructured_weights
@@ -35,8 +35,8 @@ def render_reference(
         blending: the rule that chooses and weights the views.
 
     Returns:
-        The image ``(H, W, 3)``, RGB in 0 to 255, zero where uncovered; and which pixels are covered,
-        ``(H, W)``.
+        The image ``(H, W, 3)``, RGB in 0 to 255, zero where uncovered; and which pixels are
+        covered, ``(H, W)``.
     """
     shape = (intrinsics.height, intrinsics.width)
     nothing = np.zeros((*shape, 3)), np.zeros(shape, dtype=bool)
@@ -133,7 +133,7 @@ def _sample(
     return result
 
 
-def _bilinear(image: BoolArray, position: FloatArray, full_size: IntArray) -> FloatArray:
+def _bilinear(image: ImageArray, position: FloatArray, full_size: IntArray) -> FloatArray:
     height, width = image.shape[:2]
     x = np.clip((position[:, 0] + 0.5) * width / full_size[0] - 0.5, 0.0, width - 1.0)
     y = np.clip((position[:, 1] + 0.5) * height / full_size[1] - 0.5, 0.0, height - 1.0)
@@ -161,7 +161,7 @@ def _blend(
     image[blended] /= total[blended][:, None]
     # Where no chosen view shows the pixel, the view with the nearest projected centre that does.
     pixels = np.stack([columns, rows], axis=-1)[~blended].astype(float)
-    distance = np.sum((pixels[:, None] - corners) ** 2, axis=-1)
+    distance = np.asarray(np.sum((pixels[:, None] - corners) ** 2, axis=-1))
     distance[~seen[:, ~blended].T] = np.inf
     nearest = np.argmin(distance, axis=1)
     found = np.isfinite(distance[np.arange(len(pixels)), nearest])

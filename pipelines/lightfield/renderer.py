@@ -1,4 +1,4 @@
-"""The front of the fast path: renders virtual views and compares many of them with a camera image."""
+"""The front of the fast path: renders virtual views, compares many of them with a camera image."""
 
 import os
 from concurrent.futures import ThreadPoolExecutor
@@ -48,8 +48,8 @@ class Rendering:
 class Renderer:
     """Renders virtual views of a light field and scores them against camera images.
 
-    Works on all processors of the process's affinity unless ``threads`` says otherwise; results do not
-    depend on the number of threads.
+    Works on all processors of the process's affinity unless ``threads`` says otherwise; results do
+    not depend on the number of threads.
     """
 
     def __init__(

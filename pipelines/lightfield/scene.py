@@ -47,8 +47,8 @@ class Scene:
         camera_index: ``(N,)`` index into ``cameras``.
         world_from_camera: ``(N, 4, 4)``.
         surface: the plane that stands for the scene's surface.
-        base_from_camera: ``(4, 4)`` mount of the recording robot; None where the map was not made by
-            a robot.
+        base_from_camera: ``(4, 4)`` mount of the recording robot; None where the map was not made
+            by a robot.
         bounds: ``(4,)`` x_min, x_max, y_min, y_max in metres: where on the ground a robot can stand
             and see what the views show.
         scale_source: where the metric scale comes from, as the reconstruction states it.

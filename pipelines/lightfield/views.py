@@ -1,7 +1,7 @@
 """The photos as the renderers use them: undistorted, in area-averaged pyramids, in one buffer.
 
-A view is sampled at the pyramid level whose pixels are about as large as those of the virtual image,
-so that a photo seen from afar is averaged and not point-sampled (Williams 1983, "Pyramidal
+A view is sampled at the pyramid level whose pixels are about as large as those of the virtual
+image, so that a photo seen from afar is averaged and not point-sampled (Williams 1983, "Pyramidal
 parametrics").
 """
 
@@ -25,8 +25,8 @@ class Views:
     """N posed pinhole photos with their pyramids.
 
     Attributes:
-        texels: ``(T, 4)`` uint8, RGB and a pad byte (a pixel is one aligned 32-bit read): all levels
-            of all views, row by row.
+        texels: ``(T, 4)`` uint8, RGB and a pad byte (a pixel is one aligned 32-bit read): all
+            levels of all views, row by row.
         level_start: ``(N, L)`` index of a level's first texel.
         level_size: ``(N, L, 2)`` width and height of each level; level 0 is the finest. Views with
             fewer levels repeat their last one.

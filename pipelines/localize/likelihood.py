@@ -1,0 +1,163 @@
+"""How likely is a camera image at a hypothetical state? The observation model of equation (2).
+
+The view that the light field renders at the state is compared with the image; the cost of the
+comparison (``pipelines.lightfield.comparison``) becomes a log-likelihood, ``-sharpness * cost``.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from pipelines.artifacts.array_types import FloatArray, ImageArray
+from pipelines.artifacts.errors import OptionError
+from pipelines.geometry.camera import Camera, Intrinsics, Undistorter
+from pipelines.geometry.pose import world_from_base_planar
+from pipelines.lightfield.comparison import Cost
+from pipelines.lightfield.renderer import Renderer
+from pipelines.lightfield.views import pinhole_query
+from pipelines.localize.belief import effective_sample_size, normalise_log_weights
+
+
+@dataclass(frozen=True)
+class Likelihood:
+    """A kind of comparison and how much it is trusted.
+
+    Attributes:
+        cost: the kind of comparison.
+        sharpness: log-likelihood lost for a unit of cost. For the squared difference it is
+            n 255^2 / (2 sigma^2) with n independent pixels of standard deviation sigma:
+            neighbouring pixels and the errors of the model are far from independent, so n is about
+            ten.
+        fit_gain: whether a brightness factor is fitted before the comparison.
+
+    Raises:
+        OptionError: a sharpness that is not positive and finite.
+    """
+
+    cost: Cost
+    sharpness: float
+    fit_gain: bool = True
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.sharpness) and self.sharpness > 0.0):
+            raise OptionError(f"a likelihood's sharpness {self.sharpness:g} must be positive")
+
+
+LIKELIHOODS: Mapping[str, Likelihood] = MappingProxyType(
+    {
+        "squared": Likelihood(Cost.SQUARED, 800.0),
+        "robust": Likelihood(Cost.ROBUST, 40.0),
+        "zncc": Likelihood(Cost.ZNCC, 60.0, fit_gain=False),
+        "gradient": Likelihood(Cost.GRADIENT, 60.0),
+    }
+)
+
+
+def likelihood_named(name: str) -> Likelihood:
+    """The likelihood with its default sharpness.
+
+    Raises:
+        OptionError: unknown name.
+    """
+    if name not in LIKELIHOODS:
+        raise OptionError(f"likelihood {name!r} is none of {', '.join(LIKELIHOODS)}")
+    return LIKELIHOODS[name]
+
+
+@dataclass(frozen=True)
+class Observation:
+    """A camera image ready for comparison.
+
+    Attributes:
+        image: ``(H, W, 3)`` RGB, undistorted and area-averaged.
+        intrinsics: of that image.
+    """
+
+    image: ImageArray
+    intrinsics: Intrinsics
+
+
+def observe(image: ImageArray, camera: Camera, undistorter: Undistorter, width: int) -> Observation:
+    """Prepares a recorded image ``(height, width, 3)`` for comparison at ``width`` pixels."""
+    small, intrinsics = pinhole_query(image, camera, undistorter, width)
+    return Observation(small, intrinsics)
+
+
+def costs_of_states(
+    renderer: Renderer,
+    states: FloatArray,
+    base_from_camera: FloatArray,
+    observation: Observation,
+    likelihood: Likelihood,
+) -> FloatArray:
+    """Cost ``(M,)`` in [0, 1] of planar states ``(M, 3)``: the views rendered there, compared."""
+    return renderer.costs(
+        world_from_base_planar(states) @ base_from_camera,
+        observation.intrinsics,
+        observation.image,
+        likelihood.cost,
+        likelihood.fit_gain,
+    )
+
+
+def image_match(
+    renderer: Renderer,
+    state: FloatArray,
+    base_from_camera: FloatArray,
+    observation: Observation,
+) -> float:
+    """How well the view rendered at a state explains the image: their correlation, at least 0.
+
+    An absolute figure, other than weights, which only compare hypotheses with each other.
+    """
+    cost = renderer.costs(
+        world_from_base_planar(state[None]) @ base_from_camera,
+        observation.intrinsics,
+        observation.image,
+        Cost.ZNCC,
+        False,
+    )
+    return float(np.clip(1.0 - 2.0 * cost[0], 0.0, 1.0))
+
+
+def tempered(
+    log_weights: FloatArray, log_likelihoods: FloatArray, smallest_share: float
+) -> tuple[FloatArray, float]:
+    """Adds log-likelihoods to log-weights, flattened as far as needed to keep particles alive.
+
+    A likelihood that is sharper than the particles are dense leaves one of them with all the
+    weight, the nearest by chance. Raised to a power below 1 it selects more slowly and more surely
+    (annealed weights, Deutscher and Reid 2005).
+
+    Args:
+        log_weights: ``(M,)`` normalised prior weights.
+        log_likelihoods: ``(M,)``; -inf is allowed.
+        smallest_share: of M that the effective sample size shall keep; 0 leaves the likelihood as
+            it is.
+
+    Returns:
+        Normalised log-weights ``(M,)`` and the power in (0, 1].
+    """
+    largest = np.max(log_likelihoods)
+    if not np.isfinite(largest):
+        return log_weights, 1.0
+    relative = log_likelihoods - largest
+
+    def posterior(power: float) -> FloatArray:
+        return normalise_log_weights(log_weights + power * relative)[0]
+
+    wanted = smallest_share * len(log_weights)
+    # The prior's own spread is the most that any power can keep.
+    wanted = min(wanted, 0.5 * effective_sample_size(log_weights))
+    if effective_sample_size(posterior(1.0)) >= wanted:
+        return posterior(1.0), 1.0
+    low, high = 1e-9, 1.0
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        if effective_sample_size(posterior(middle)) >= wanted:
+            low = middle
+        else:
+            high = middle
+    return posterior(low), low

@@ -1,0 +1,165 @@
+"""The stage ``localize``: a scene model and a data set in, a run out."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.atomic import check_output
+from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.artifacts.progress import Progress
+from pipelines.artifacts.provenance import provenance, sha256_of_file
+from pipelines.dataset.dataset import (
+    CAMERA_FILE,
+    ODOMETRY_FILE,
+    PAIRING_TOLERANCE,
+    Dataset,
+    load_dataset,
+    poses_at_images,
+)
+from pipelines.geometry.camera import Camera
+from pipelines.geometry.pose import planar_state_of
+from pipelines.lightfield.bundle import load_scene
+from pipelines.lightfield.scene import Scene
+from pipelines.localize.description import RunSummary
+from pipelines.localize.localizer import Localizer
+from pipelines.localize.motion import planar_increment
+from pipelines.localize.run import Run, relative_scene_path, save_run
+from pipelines.localize.settings import LocalizerSettings
+
+
+def localize(
+    scene_path: Path,
+    dataset_path: Path,
+    output: Path,
+    settings: LocalizerSettings,
+    *,
+    seed: int,
+    odometry: Path | None,
+    overwrite: bool,
+    progress: Progress,
+) -> RunSummary:
+    """Localizes the robot in every frame of a data set and writes the run.
+
+    Args:
+        scene_path: scene model.
+        dataset_path: images, camera with mount, odometry.
+        output: the file to be written.
+        settings: of the filter.
+        seed: of its random numbers, not negative.
+        odometry: TUM file to use instead of the data set's own.
+        overwrite: whether an existing file may be replaced.
+        progress: told how far the work is.
+
+    Raises:
+        InputError: an input cannot be used, or the output not be written.
+        OptionError: settings that make no sense for this scene.
+    """
+    check_output(output, overwrite)
+    if seed < 0:
+        raise OptionError(f"seed {seed} is negative")
+    scene = load_scene(scene_path)
+    dataset = load_dataset(dataset_path, odometry=odometry)
+    source = odometry if odometry is not None else dataset_path / ODOMETRY_FILE
+    inputs = {"scene": scene.identifier}
+    if dataset.odometry is not None:
+        inputs["odometry"] = sha256_of_file(source)
+    run = localize_dataset(
+        scene,
+        dataset,
+        settings,
+        seed=seed,
+        odometry_source=source,
+        scene_path=relative_scene_path(scene_path, output),
+        record=provenance("localize", {**settings.to_dict(), "seed": seed}, inputs),
+        progress=progress,
+    )
+    save_run(output, run, overwrite)
+    return RunSummary(output, run)
+
+
+def localize_dataset(
+    scene: Scene,
+    dataset: Dataset,
+    settings: LocalizerSettings,
+    *,
+    seed: int,
+    odometry_source: Path,
+    scene_path: str,
+    record: dict[str, Any],
+    progress: Progress,
+) -> Run:
+    """Localizes the robot in every frame of a data set, in memory.
+
+    Args:
+        scene: the light field.
+        dataset: with camera, mount and odometry.
+        settings: of the filter.
+        seed: of its random numbers.
+        odometry_source: the odometry's file, for errors.
+        scene_path: how the run refers to its scene.
+        record: the run's provenance.
+        progress: told how far the work is.
+
+    Raises:
+        InputError: the data set lacks camera, mount or odometry, or an image cannot be read.
+    """
+    camera, mount = _camera_and_mount(dataset)
+    if dataset.odometry is None:
+        raise InputError(
+            odometry_source, "is missing: a planar robot is localized with odometry", "--odometry"
+        )
+    body_poses = poses_at_images(dataset, dataset.odometry, odometry_source)
+    localizer = Localizer(scene, camera, mount, settings, np.random.default_rng(seed))
+    frames = []
+    for index in progress(range(len(dataset)), "localize", len(dataset)):
+        increment = None
+        if index > 0:
+            increment = planar_increment(body_poses[index - 1], body_poses[index])
+        frames.append(
+            localizer.step(
+                dataset.read_image(index),
+                increment,
+                float(dataset.timestamps[index]),
+                dataset.image_names[index],
+            )
+        )
+    return Run(
+        scene_identifier=scene.identifier,
+        scene_path=scene_path,
+        dataset_name=dataset.root.resolve().as_posix().split("/")[-1],
+        camera=camera,
+        base_from_camera=mount,
+        settings=settings.to_dict(),
+        seed=seed,
+        frames=tuple(frames),
+        encoded_images=tuple(dataset.read_image_bytes(index) for index in range(len(dataset))),
+        odometry=planar_state_of(body_poses),
+        groundtruth=_groundtruth_states(dataset),
+        provenance=record,
+    )
+
+
+def _camera_and_mount(dataset: Dataset) -> tuple[Camera, FloatArray]:
+    if dataset.camera is None:
+        raise InputError(
+            dataset.root / CAMERA_FILE, "is missing: localization needs the robot's camera"
+        )
+    if dataset.base_from_camera is None:
+        raise InputError(
+            dataset.root / CAMERA_FILE,
+            "has no [mount]: a planar robot needs to know where its camera sits",
+            "add [mount] with x, y, z, roll, pitch, yaw",
+        )
+    return dataset.camera, dataset.base_from_camera
+
+
+def _groundtruth_states(dataset: Dataset) -> FloatArray | None:
+    """``(N, 3)`` true states, NaN where there is none; for evaluation only."""
+    if dataset.groundtruth is None:
+        return None
+    nearest = dataset.groundtruth.nearest(dataset.timestamps, PAIRING_TOLERANCE)
+    states = np.full((len(dataset), 3), np.nan)
+    states[nearest >= 0] = planar_state_of(dataset.groundtruth.poses[nearest[nearest >= 0]])
+    return states
