@@ -17,19 +17,21 @@ import numpy as np
 
 from pipelines.artifacts.array_types import FloatArray
 from pipelines.artifacts.errors import StageError
+from pipelines.geometry.camera import Camera
 from pipelines.geometry.pose import inverse
 from pipelines.reconstruct.colmap_model import ColmapModel
+from pipelines.reconstruct.parallax import rotation_only_share
 
 MIN_IMAGES = 3
 MIN_MEDIAN_FEATURES = 50
 MIN_REGISTERED_SHARE = 0.5
 MIN_POINTS_PER_IMAGE = 20
 MIN_TRIANGULATION_ANGLE = 3.0  # degrees, median over the points of the largest angle of each
-MAX_PANORAMIC_SHARE = 0.8
+# Neighbours in a film hardly differ in place, so a part of the pairs may.
+MAX_ROTATION_SHARE = 0.7
 MAX_POINTS_MEASURED = 20_000
 MOVE_SIDEWAYS = "the camera has to move sideways, not turn on the spot"
 # COLMAP's kinds of image pairs (estimators/two_view_geometry.h).
-PANORAMIC = 5
 USABLE_PAIRS = (2, 3, 4, 5, 6, 8)
 
 
@@ -40,12 +42,12 @@ class DatabaseFindings:
     Attributes:
         features: name of an image -> number of its features, for the images that have an entry.
         verified_pairs: pairs of images that show the same features in a possible geometry.
-        panoramic_pairs: those among them that are related by a rotation alone.
+        rotation_share: share of them that a rotation alone explains, see ``parallax``.
     """
 
     features: dict[str, int]
     verified_pairs: int
-    panoramic_pairs: int
+    rotation_share: float
 
 
 @dataclass(frozen=True)
@@ -91,8 +93,13 @@ def count_rows(database: Path, table: str) -> int:
         return 0
 
 
-def read_findings(database: Path) -> DatabaseFindings:
-    """Counts features and pairs.
+def read_findings(database: Path, camera: Camera | None, size: tuple[int, int]) -> DatabaseFindings:
+    """Counts features and pairs, and looks for parallax.
+
+    Args:
+        database: COLMAP's, after matching.
+        camera: None where unknown.
+        size: width and height of the images.
 
     Raises:
         StageError: the database cannot be read.
@@ -114,7 +121,8 @@ def read_findings(database: Path) -> DatabaseFindings:
     except sqlite3.Error as error:
         raise StageError(f"the database of structure from motion is unreadable: {error}") from error
     verified = sum(kinds.get(kind, 0) for kind in USABLE_PAIRS)
-    return DatabaseFindings(features, verified, kinds.get(PANORAMIC, 0))
+    share = rotation_only_share(database, camera, size) if verified else 0.0
+    return DatabaseFindings(features, verified, share)
 
 
 def _open(database: Path) -> sqlite3.Connection:
@@ -146,11 +154,10 @@ def check_database(findings: DatabaseFindings, names: dict[str, str]) -> None:
             f"no two of the {len(names)} images show the same features; they need about two "
             "thirds of overlap from one to the next"
         )
-    panoramic = findings.panoramic_pairs / findings.verified_pairs
-    if panoramic > MAX_PANORAMIC_SHARE:
+    if findings.rotation_share > MAX_ROTATION_SHARE:
         raise StageError(
-            f"no parallax: {100 * panoramic:.0f} % of the image pairs differ by a rotation alone; "
-            f"{MOVE_SIDEWAYS}"
+            f"no parallax: {100 * findings.rotation_share:.0f} % of the image pairs differ by a "
+            f"rotation alone; {MOVE_SIDEWAYS}"
         )
 
 

@@ -24,6 +24,7 @@ from pipelines.artifacts.errors import InputError, StageError
 from pipelines.artifacts.progress import Progress
 from pipelines.dataset.dataset import Dataset
 from pipelines.dataset.images import image_header
+from pipelines.geometry.camera import Camera
 from pipelines.reconstruct.checks import (
     MIN_IMAGES,
     DatabaseFindings,
@@ -122,8 +123,7 @@ def structure_from_motion(
         request = _prepare(dataset, settings, folder)
         own_names = dict(zip(request.names, dataset.image_names, strict=True))
         try:
-            attempts = _work(request, folder, own_names, progress)
-            findings = read_findings(Path(request.database))
+            attempts, findings = _work(request, folder, dataset.camera, own_names, progress)
             model, measured, attempt = _best_model(attempts, count, findings)
         except StageError as error:
             raise StageError(f"{dataset.root}: {error}") from error
@@ -140,7 +140,7 @@ def structure_from_motion(
         "mapper": attempt,
         "pairs_compared": len(image_pairs(count, settings.matcher)),
         "pairs_verified": findings.verified_pairs,
-        "pairs_panoramic": findings.panoramic_pairs,
+        "pairs_by_rotation_share": findings.rotation_share,
         "camera_estimated": dataset.camera is None,
     }
     return StructureFromMotion(model, measured, statistics, dropped)
@@ -185,10 +185,20 @@ Attempts = list[tuple[str, list[tuple[str, int]]]]
 
 
 def _work(
-    request: Request, folder: Path, own_names: dict[str, str], progress: Progress
-) -> Attempts:
-    """Runs the worker; the models that each attempt left, as folders and numbers of images."""
+    request: Request,
+    folder: Path,
+    camera: Camera | None,
+    own_names: dict[str, str],
+    progress: Progress,
+) -> tuple[Attempts, DatabaseFindings]:
+    """Runs the worker.
+
+    Returns:
+        The models that each attempt left, as folders and numbers of images; what was found in the
+        images and between them.
+    """
     attempts: Attempts = []
+    findings = DatabaseFindings({}, 0, 0.0)
     pair_lines = Path(request.pairs).read_text(encoding="utf-8").splitlines()
     totals = {"features": len(request.names), "matching": len(pair_lines)}
     with _Worker(request, folder) as worker:
@@ -202,14 +212,16 @@ def _work(
             phase = str(event["phase"])
             if phase == "mapping" and not attempts:
                 # Mapping what cannot succeed takes longest.
-                check_database(read_findings(Path(request.database)), own_names)
+                size = (request.width, request.height)
+                findings = read_findings(Path(request.database), camera, size)
+                check_database(findings, own_names)
             text = PHASE_TEXTS.get(phase, f"mapping ({event.get('attempt', '')})")
             total = totals.get(phase, len(request.names))
             steps = worker.steps(COUNTED_TABLES.get(phase), total)
             for _ in progress(steps, text, total):
                 pass
             event = worker.last_event
-    return attempts
+    return attempts, findings
 
 
 def _sizes_of(attempt: tuple[str, list[tuple[str, int]]]) -> tuple[str, list[int]]:

@@ -153,8 +153,6 @@ def _match(request: Request) -> None:
 
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = request.seed
-    # Tells pairs that only rotate from pairs that see a plane.
-    verification.compute_relative_pose = True
     matching = pycolmap.FeatureMatchingOptions()
     matching.num_threads = request.threads
     pairing = pycolmap.ImportedPairingOptions()
