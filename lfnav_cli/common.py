@@ -124,7 +124,7 @@ def print_summary(summary: "Summary", as_json: bool = False) -> None:
 
 
 def format_table(rows: Sequence[Sequence[str]]) -> str:
-    """Left-aligned first column, right-aligned others, a rule below the headings."""
+    """Names to the left, figures (from three columns on) to the right, a rule below the headings."""
     if not rows:
         return ""
     columns = max(len(row) for row in rows)
@@ -133,7 +133,7 @@ def format_table(rows: Sequence[Sequence[str]]) -> str:
     lines = []
     for number, row in enumerate(padded):
         cells = [
-            cell.ljust(width) if column == 0 else cell.rjust(width)
+            cell.ljust(width) if column == 0 or columns == 2 else cell.rjust(width)
             for column, (cell, width) in enumerate(zip(row, widths, strict=True))
         ]
         lines.append("  ".join(cells).rstrip())

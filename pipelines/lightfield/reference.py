@@ -161,7 +161,8 @@ def _blend(
     image[blended] /= total[blended][:, None]
     # Where no chosen view shows the pixel, the view with the nearest projected centre that does.
     pixels = np.stack([columns, rows], axis=-1)[~blended].astype(float)
-    distance = np.asarray(np.sum((pixels[:, None] - corners) ** 2, axis=-1))
+    offsets = pixels[:, None] - corners  # [P, N, 2]
+    distance: FloatArray = np.sum(offsets * offsets, axis=2)
     distance[~seen[:, ~blended].T] = np.inf
     nearest = np.argmin(distance, axis=1)
     found = np.isfinite(distance[np.arange(len(pixels)), nearest])
