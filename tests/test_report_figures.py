@@ -379,3 +379,17 @@ def test_stages_keep_their_order_and_unknown_ones_follow() -> None:
     stages = stage_seconds(replace(run, frames=frames))
     assert list(stages) == ["motion", "likelihood", "zeal"]
     assert stages["zeal"].tolist() == [0.0, 0.5, 0.5, 0.5, 0.5, 0.5]
+
+
+def test_a_towering_bar_is_cut_and_says_its_height() -> None:
+    run = wall_run()
+    frames = tuple(
+        replace(f, seconds={"likelihood": 30.0 if i == 0 else 0.1 + 0.01 * i})
+        for i, f in enumerate(run.frames)
+    )
+    run = replace(run, frames=frames)
+    with figure_style():
+        axes = time_figure(run, tracks_of(run, None), [0]).axes[4]
+    assert axes.get_ylabel() == "time a frame\nin ms"
+    assert axes.get_ylim()[1] == pytest.approx(1.6 * 150.0)
+    assert [text.get_text() for text in axes.texts] == ["30,000 ms, cut off here"]

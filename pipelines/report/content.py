@@ -18,11 +18,12 @@ ERROR_COLUMNS = {"median": "median", "rmse": "RMSE", "max": "max", "last5_mean":
 
 OVERVIEW_CAPTION = (
     "Each row is one frame. Left, the place from above: every dot is a hypothesis of where the "
-    "robot stands, dark where the picture rendered there resembles the camera image. Arrow heads "
-    "are poses. Then what the camera saw, what the model shows at the estimated pose, and what it "
-    "shows at the pose that odometry alone would give. If the estimate is right, the second "
-    "picture looks like the first. \u201cDiffers by\u201d is the mean absolute difference in grey "
-    "levels where the model covers the picture; striped pixels are shown by no recorded view."
+    "robot stands, black for the likeliest, palest from a ten-thousandth of its weight down. Arrow "
+    "heads are poses. Then what the camera saw, what the model shows at the estimated pose, and "
+    "what it shows at the pose that odometry alone would give. If the estimate is right, the "
+    "second picture looks like the first. \u201cDiffers by\u201d is the mean absolute difference "
+    "in grey levels where the model covers the picture; striped pixels are shown by no recorded "
+    "view."
 )
 CURVES_CAPTION = (
     "All panels share the frame axis. {errors} The shaded bands are what the filter itself "

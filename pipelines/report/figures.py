@@ -30,7 +30,7 @@ TITLE, AXIS_LABEL, HEADING, LEGEND_LINE = 0.46, 0.5, 0.3, 0.26
 ROW_GAP = 0.2
 MAX_PICTURE_HEIGHT = 3.4
 TOP_VIEW_SHARE = 1.25
-LEGEND_COLUMNS = 4
+LEGEND_COLUMNS = 5
 MAX_NAME = 30
 # Odometry's path is moved to begin at the true pose; this far (metres) rounding moves it away.
 SAME_PLACE = 1e-6
@@ -75,7 +75,9 @@ def overview_figure(content: Content) -> Figure:
     height = width / aspect
     top_width = inner - 3 * width
     row = TITLE + height + AXIS_LABEL
-    layout = _Layout(HEADING + len(content.views) * row, _legend_lines(content))
+    layout = _Layout(
+        HEADING + len(content.views) * row, _legend_lines(content, list(content.views))
+    )
     columns = [LEFT + top_width + GAP + i * (width + GAP) for i in range(3)]
     heads = ["from above", "camera", "rendered at the estimate", "rendered at odometry"]
     for x, text in zip([LEFT, *columns], heads, strict=True):
@@ -88,7 +90,7 @@ def overview_figure(content: Content) -> Figure:
         _title(axes, *_frame_lines(content, index))
         boxes = [layout.axes(x, y, width, height) for x in columns]
         _show_three(boxes, content, index, views)
-    layout.legend(content)
+    layout.legend(content, list(content.views))
     return layout.figure
 
 
@@ -100,7 +102,7 @@ def frame_figure(content: Content, index: int) -> Figure:
     width = height * aspect
     lower = max(height, 0.7 * column)
     top_row, bottom_row = HEADING + TITLE, 2 * (HEADING + TITLE) + height + ROW_GAP
-    layout = _Layout(bottom_row + lower + AXIS_LABEL, _legend_lines(content))
+    layout = _Layout(bottom_row + lower + AXIS_LABEL, _legend_lines(content, [index]))
     lefts = [LEFT + i * (column + COLUMN_GAP) for i in range(3)]
     centred = [left + (column - width) / 2.0 for left in lefts]
     upper = ["camera", "rendered at the estimate", "rendered at odometry"]
@@ -120,7 +122,7 @@ def frame_figure(content: Content, index: int) -> Figure:
     _draw_top_views(content, index, whole, close, column / lower)
     difference = layout.axes(centred[2], bottom_row, width, height)
     _show_difference(difference, content.views[index].at_estimate)
-    layout.legend(content)
+    layout.legend(content, [index])
     return layout.figure
 
 
@@ -154,10 +156,10 @@ class _Layout:
         """Text whose base line begins at (x, y)."""
         self.figure.text(x / WIDTH, 1.0 - y / self.height, text, fontweight=weight, fontsize=size)
 
-    def legend(self, content: Content) -> None:
-        """The legend of everything, at the bottom."""
+    def legend(self, content: Content, indices: Sequence[int]) -> None:
+        """The legend of a figure of the frames ``indices``, at the bottom."""
         handles, labels, handlers = legend_entries(
-            content.run, content.tracks, content.surroundings, list(content.views)
+            content.run, content.tracks, content.surroundings, indices
         )
         self.figure.legend(
             handles,
@@ -173,8 +175,8 @@ class _Layout:
         )
 
 
-def _legend_lines(content: Content) -> int:
-    entries = legend_entries(content.run, content.tracks, content.surroundings, list(content.views))
+def _legend_lines(content: Content, indices: Sequence[int]) -> int:
+    entries = legend_entries(content.run, content.tracks, content.surroundings, indices)
     return -(-len(entries[1]) // LEGEND_COLUMNS)
 
 

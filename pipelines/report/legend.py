@@ -38,18 +38,18 @@ def legend_entries(
     entries: list[tuple[Artist | tuple[Artist, ...], str]] = [
         (
             tuple(dot(tone) for tone in (0.0, 0.5, 1.0)),
-            "particles; weight 1/10 000 or less … best",
+            "particles, dark: likelier",
         ),
         (
             (Line2D([], [], color=style.ESTIMATE, linewidth=1.4), pose(style.ESTIMATE)),
-            "estimate (hollow: still searching)" if searching else "estimate",
+            "estimate (hollow: searching)" if searching else "estimate",
         ),
     ]
     ellipse = Line2D(
         [], [], linestyle="none", marker="o", markersize=10.0, markerfacecolor="none",
         markeredgecolor=style.ESTIMATE, markeredgewidth=1.3,
     )  # fmt: skip
-    entries.append((ellipse, "95 % ellipse of the main cluster"))
+    entries.append((ellipse, "95 % of the main cluster"))
     if tracks.odometry is not None:
         dashes = Line2D([], [], color=style.ODOMETRY, linewidth=1.5, linestyle=(0, (4.0, 1.6)))
         entries.append(((dashes, pose(style.ODOMETRY)), "odometry alone"))
@@ -61,25 +61,23 @@ def legend_entries(
             [], [], linestyle="none", marker="D", markersize=8.0, markerfacecolor="none",
             markeredgecolor=style.MODE, markeredgewidth=1.8,
         )  # fmt: skip
-        entries.append((mode, "cluster and its share of the weight"))
+        entries.append((mode, "cluster, share of the weight"))
     recording = Line2D(
         [], [], color=style.RECORDING, marker="o", markersize=4.0, markerfacecolor="white",
         linewidth=1.1, markevery=[0],
     )  # fmt: skip
     recording.set_data([0.0, 1.0], [0.0, 0.0])
-    entries.append((recording, "recorded view and its direction"))
+    entries.append((recording, "recorded view"))
     if surroundings.surface is not None:
         wall = Line2D([], [], color=style.SURFACE, linewidth=3.0)
         flat = Patch(facecolor="#F2F2F2", edgecolor=style.SURFACE)
-        entries.append(
-            (wall if surroundings.surface.is_wall else flat, "mapped surface that the views cover")
-        )
+        entries.append((wall if surroundings.surface.is_wall else flat, "mapped surface"))
     striped = Patch(
         facecolor=_hex_of(style.UNCOVERED_LIGHT),
         edgecolor=_hex_of(style.UNCOVERED_DARK),
         hatch="//////",
     )
-    entries.append((striped, "striped: no recorded view shows it"))
+    entries.append((striped, "seen by no recorded view"))
     handles, labels = [entry[0] for entry in entries], [entry[1] for entry in entries]
     return handles, labels, {tuple: HandlerTuple(ndivide=None, pad=0.4)}
 

@@ -20,6 +20,9 @@ FIGURE_WIDTH = 13.0
 PANEL_HEIGHT = 1.75
 # From this ratio of largest to median on, a linear axis would press the interesting part flat.
 LOG_RATIO = 12.0
+# A bar this many times longer than the second longest is cut: the first frame's, for example,
+# in which code is compiled.
+TOWERING = 4.0
 # Metres or radians; below lies rounding.
 SAME_PLACE = 1e-6
 
@@ -207,7 +210,7 @@ def _draw_seconds(axes: Axes, run: Run) -> None:
     stages = stage_seconds(run)
     frames, base = np.arange(len(run.frames)), np.zeros(len(run.frames))
     total = np.sum(list(stages.values()), axis=0) if stages else base
-    scale, unit = (1000.0, "ms") if float(np.max(total)) < 2.0 else (1.0, "s")
+    scale, unit = (1000.0, "ms") if float(np.median(total)) < 1.0 else (1.0, "s")
     others = 0
     for name, seconds in stages.items():
         colour = style.STAGE_COLOURS.get(name)
@@ -220,8 +223,30 @@ def _draw_seconds(axes: Axes, run: Run) -> None:
             label=name.lstrip("_") or "stage",
         )  # fmt: skip
         base = base + seconds * scale
-    axes.set_ylim(0.0, 1.15 * max(float(base.max()), 1e-9))
+    _limit_bars(axes, base, unit)
     axes.set_ylabel(f"time a frame\nin {unit}")
+
+
+def _limit_bars(axes: Axes, heights: FloatArray, unit: str) -> None:
+    """Cuts a bar that towers above all others, and writes its height beside it."""
+    ordered = np.sort(heights)
+    longest = float(ordered[-1])
+    second = float(ordered[-2]) if len(ordered) > 1 else longest
+    if second <= 0.0 or longest <= TOWERING * second:
+        axes.set_ylim(0.0, 1.15 * max(longest, 1e-9))
+        return
+    axes.set_ylim(0.0, 1.6 * second)
+    index = int(np.argmax(heights))
+    right = index > len(heights) // 2
+    axes.annotate(
+        f"{longest:,.0f} {unit}, cut off here",
+        (index - 0.4 if right else index + 0.4, 1.6 * second),
+        xytext=(-4.0 if right else 4.0, -4.0),
+        textcoords="offset points",
+        ha="right" if right else "left",
+        va="top",
+        fontsize=9.0,
+    )
 
 
 def _finish_panel(axes: Axes, run: Run, indices: Sequence[int], *, bottom: bool) -> None:

@@ -261,7 +261,7 @@ def _draw_modes(axes: Axes, record: FrameRecord, first: int) -> None:
         axes.annotate(
             f"{share:.0%}",
             (x, y),
-            xytext=(8.0, 5.0),
+            xytext=(9.0, 5.0),
             textcoords="offset points",
             fontsize=9.0,
             annotation_clip=True,
