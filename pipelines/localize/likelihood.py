@@ -11,7 +11,7 @@ from types import MappingProxyType
 import numpy as np
 
 from pipelines.artifacts.array_types import FloatArray, ImageArray
-from pipelines.artifacts.errors import OptionError
+from pipelines.artifacts.errors import OptionError, StageError
 from pipelines.geometry.camera import Camera, Intrinsics, Undistorter
 from pipelines.geometry.pose import world_from_base_planar
 from pipelines.lightfield.comparison import Cost
@@ -138,10 +138,17 @@ def tempered(
             it is.
 
     Returns:
-        Normalised log-weights ``(M,)`` and the power in (0, 1].
+        Normalised log-weights ``(M,)`` and the power in (0, 1]. Where the image rules out all
+        particles alike, the prior weights remain.
+
+    Raises:
+        StageError: log-likelihoods that are NaN or +inf: the comparison is broken.
     """
+    broken = int(np.count_nonzero(np.isnan(log_likelihoods) | np.isposinf(log_likelihoods)))
+    if broken:
+        raise StageError(f"{broken} of {len(log_likelihoods)} log-likelihoods are NaN or +inf")
     largest = np.max(log_likelihoods)
-    if not np.isfinite(largest):
+    if np.isneginf(largest):
         return log_weights, 1.0
     relative = log_likelihoods - largest
 
