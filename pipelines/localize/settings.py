@@ -13,6 +13,7 @@ from pipelines.localize.resampling import SCHEMES
 STRATEGIES = ("coarse_to_fine", "condensation")
 ESTIMATES = ("mode", "mean", "max_weight")
 MAX_PARTICLES = 10_000_000
+MAX_THREADS = 4096
 
 
 @dataclass(frozen=True)
@@ -84,6 +85,8 @@ class LocalizerSettings:
         _within("roughening", self.roughening, 0.0, 10.0)
         _within("coarse width", self.coarse_width, 4, 4096)
         _within("fine width", self.fine_width, 4, 4096)
+        if self.threads is not None:
+            _within("number of threads", self.threads, 1, MAX_THREADS)
         if self.start is not None and not all(map(math.isfinite, self.start)):
             raise OptionError(f"start {self.start} is not finite")
         if self.area is not None:

@@ -1,0 +1,111 @@
+"""Settings of the filter: what is impossible is refused in one line when they are made."""
+
+import json
+import math
+from typing import Any
+
+import pytest
+
+from pipelines.artifacts.errors import OptionError
+from pipelines.lightfield.blending import Blending
+from pipelines.lightfield.comparison import Cost
+from pipelines.localize.likelihood import Likelihood
+from pipelines.localize.motion import MotionModel
+from pipelines.localize.settings import MAX_PARTICLES, LocalizerSettings
+
+NAN, INF = math.nan, math.inf
+
+# Keyword -> impossible values, and what the error says about each of them.
+IMPOSSIBLE: dict[str, tuple[tuple[Any, ...], str]] = {
+    "strategy": (("", "Condensation", "annealed"), "strategy"),
+    "resampling": (("", "wheel"), "resampling"),
+    "estimate": (("", "median"), "estimate"),
+    "particles": ((0, -1, MAX_PARTICLES + 1, NAN), "number of particles"),
+    "start_particles": ((0, -5, MAX_PARTICLES + 1), "number of particles at the start"),
+    "start_position_sigma": ((-0.1, NAN, INF), "start position sigma"),
+    "start_heading_sigma": ((-0.1, 4.0, NAN, INF), "start heading sigma"),
+    "resampling_threshold": ((-0.1, 1.1, NAN), "resampling threshold"),
+    "smallest_effective_share": ((-0.1, 0.6, NAN), "smallest effective share"),
+    "shrink_factor": ((-0.1, 1.5, NAN), "shrink factor"),
+    "roughening": ((-1.0, 11.0, NAN, INF), "roughening"),
+    "coarse_width": ((3, 0, -20, 5000), "coarse width"),
+    "fine_width": ((3, 0, -40, 5000), "fine width"),
+    "start": (((NAN, 0.0, 0.0), (0.0, INF, 0.0), (0.0, 0.0, -INF)), "start"),
+    "area": (
+        (
+            (NAN, 1.0, 0.0, 1.0),
+            (0.0, INF, 0.0, 1.0),
+            (1.0, 1.0, 0.0, 1.0),
+            (2.0, 1.0, 0.0, 1.0),
+            (0.0, 1.0, 3.0, 3.0),
+            (0.0, 1.0, 3.0, -3.0),
+        ),
+        "area",
+    ),
+    "threads": ((0, -2, 5000), "number of threads"),
+}
+CASES = [(name, value, text) for name, (values, text) in IMPOSSIBLE.items() for value in values]
+
+
+@pytest.mark.parametrize(("name", "value", "text"), CASES)
+def test_impossible_values_are_refused_by_name(name: str, value: Any, text: str) -> None:
+    with pytest.raises(OptionError, match=text) as caught:
+        LocalizerSettings(**{name: value})
+    assert "\n" not in str(caught.value)
+
+
+def test_every_setting_with_a_range_is_in_the_table() -> None:
+    fields = set(LocalizerSettings.__dataclass_fields__)
+    # These are checked by their own types when they are made.
+    assert set(IMPOSSIBLE) == fields - {"likelihood", "motion", "blending"}
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("particles", 1),
+        ("start_particles", MAX_PARTICLES),
+        ("start_position_sigma", 0.0),
+        ("start_heading_sigma", math.pi),
+        ("resampling_threshold", 1.0),
+        ("smallest_effective_share", 0.0),
+        ("shrink_factor", 1.0),
+        ("roughening", 0.0),
+        ("coarse_width", 4),
+        ("fine_width", 4096),
+        ("threads", 1),
+    ],
+)
+def test_the_ends_of_the_ranges_are_possible(name: str, value: Any) -> None:
+    assert getattr(LocalizerSettings(**{name: value}), name) == value
+
+
+def test_a_search_does_not_start_with_fewer_particles_than_it_keeps() -> None:
+    with pytest.raises(OptionError, match=r"fewer particles \(100\) than are kept \(195\)"):
+        LocalizerSettings(start_particles=100, particles=195)
+    # The paper's filter has one number of particles.
+    LocalizerSettings(strategy="condensation", start_particles=100, particles=195)
+
+
+def test_what_the_run_file_keeps_is_plain_json_and_complete() -> None:
+    settings = LocalizerSettings(
+        start=(1.0, 2.0, 0.5),
+        area=(0.0, 1.0, -1.0, 2.0),
+        likelihood=Likelihood(Cost.ZNCC, 50.0, fit_gain=False),
+        motion=MotionModel(alpha1=0.5),
+        blending=Blending.DELAUNAY,
+    )
+    values = settings.to_dict()
+    assert json.loads(json.dumps(values, allow_nan=False)) == values
+    # The number of threads changes no result and must not change the file.
+    assert set(values) == set(LocalizerSettings.__dataclass_fields__) - {"threads"}
+    assert values["start"] == [1.0, 2.0, 0.5]
+    assert values["area"] == [0.0, 1.0, -1.0, 2.0]
+    assert values["likelihood"] == {"cost": "zncc", "sharpness": 50.0, "fit_gain": False}
+    assert values["motion"]["alpha1"] == 0.5
+    assert values["blending"] == "delaunay"
+    assert LocalizerSettings().to_dict()["start"] is None
+
+
+def test_threads_do_not_reach_the_run_file() -> None:
+    assert LocalizerSettings(threads=1).to_dict() == LocalizerSettings(threads=2).to_dict()
