@@ -4,10 +4,6 @@ The net of one virtual image is written as *cells*: regions of the image with th
 weights that are linear in the pixel, ``weight = a x + b y + c``. A triangle is a cell; so is an
 interval of a one-dimensional net, the strip beyond an outer edge (third weight zero), and the wedge
 beyond an outer corner (one weight 1). A label image says which cell a pixel lies in.
-
-The triangulation is Bowyer's and Watson's incremental algorithm (1981) with ghost triangles: the
-corner ``GHOST`` stands for the point at infinity, so that the hull needs no artificial outer
-triangle.
 """
 
 import numpy as np
@@ -19,8 +15,7 @@ from pipelines.lightfield.net import (
     FLATNESS_LIMIT,
     SMALLEST_RELATIVE_DEPTH,
 )
-
-GHOST = -1
+from pipelines.lightfield.triangulation import GHOST, delaunay, turn
 
 
 @compiled
@@ -135,109 +130,6 @@ def line_net(
 
 
 @compiled
-def _orientation(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
-    """Twice the signed area of a triangle; positive when a, b, c turn from x towards y."""
-    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
-
-
-@compiled
-def _conflicts(points: FloatArray, triangle: IntArray, p: FloatArray) -> bool:
-    """Whether p lies in the circumcircle of a triangle (for a ghost: beyond its hull edge)."""
-    if triangle[2] == GHOST:
-        a, b = points[triangle[0]], points[triangle[1]]
-        side = _orientation(a, b, p)
-        if side != 0.0:
-            return side > 0.0
-        along = (p[0] - a[0]) * (b[0] - p[0]) + (p[1] - a[1]) * (b[1] - p[1])
-        return bool(along > 0.0)
-    ax, ay = points[triangle[0], 0] - p[0], points[triangle[0], 1] - p[1]
-    bx, by = points[triangle[1], 0] - p[0], points[triangle[1], 1] - p[1]
-    cx, cy = points[triangle[2], 0] - p[0], points[triangle[2], 1] - p[1]
-    determinant = (
-        (ax * ax + ay * ay) * (bx * cy - cx * by)
-        - (bx * bx + by * by) * (ax * cy - cx * ay)
-        + (cx * cx + cy * cy) * (ax * by - bx * ay)
-    )
-    return bool(determinant > 0.0)
-
-
-@compiled
-def delaunay(points: FloatArray, triangles: IntArray) -> int:
-    """Delaunay triangulation of distinct points (n, 2) that are not all on a line.
-
-    Args:
-        points: pixels.
-        triangles: (t, 3) receives corner indices, t >= 4 n; in a ghost triangle the third corner
-            is ``GHOST`` and the first two are a hull edge with the hull on its right.
-
-    Returns:
-        The number of triangles, ghosts included; 0 where all points lie on a line.
-    """
-    count = len(points)
-    third = -1
-    for candidate in range(2, count):
-        if _orientation(points[0], points[1], points[candidate]) != 0.0:
-            third = candidate
-            break
-    if third < 0:
-        return 0
-    first, second = 0, 1
-    if _orientation(points[0], points[1], points[third]) < 0.0:
-        first, second = 1, 0
-    start = (first, second, third)
-    total = 4
-    for i in range(3):
-        triangles[0, i] = start[i]
-        # Seen from outside, a hull edge runs the other way round.
-        triangles[i + 1, 0], triangles[i + 1, 1] = start[(i + 1) % 3], start[i]
-        triangles[i + 1, 2] = GHOST
-    edges = np.empty((3 * len(triangles), 2), dtype=np.int64)
-    for index in range(2, count):
-        if index != third:
-            total = _insert(points, triangles, total, index, edges)
-    return total
-
-
-@compiled
-def _insert(
-    points: FloatArray, triangles: IntArray, total: int, index: int, edges: IntArray
-) -> int:
-    """Replaces the triangles whose circumcircle holds a point by the fan from it to their rim."""
-    edge_count = 0
-    kept = 0
-    for row in range(total):
-        if not _conflicts(points, triangles[row], points[index]):
-            for i in range(3):
-                triangles[kept, i] = triangles[row, i]
-            kept += 1
-            continue
-        for i in range(3):
-            start, end = triangles[row, i], triangles[row, (i + 1) % 3]
-            # An edge between two removed triangles appears in both directions: it is no rim.
-            is_rim = True
-            for other in range(edge_count):
-                if edges[other, 0] == end and edges[other, 1] == start:
-                    edge_count -= 1
-                    edges[other, 0], edges[other, 1] = edges[edge_count, 0], edges[edge_count, 1]
-                    is_rim = False
-                    break
-            if is_rim:
-                edges[edge_count, 0], edges[edge_count, 1] = start, end
-                edge_count += 1
-    for row in range(edge_count):
-        start, end = edges[row, 0], edges[row, 1]
-        # The ghost stands last in its triangle; turning the corners keeps the orientation.
-        if start == GHOST:
-            triangles[kept, 0], triangles[kept, 1], triangles[kept, 2] = end, index, GHOST
-        elif end == GHOST:
-            triangles[kept, 0], triangles[kept, 1], triangles[kept, 2] = index, start, GHOST
-        else:
-            triangles[kept, 0], triangles[kept, 1], triangles[kept, 2] = start, end, index
-        kept += 1
-    return kept
-
-
-@compiled
 def triangle_net(
     points: FloatArray, cell_corners: IntArray, cell_weights: FloatArray, label: IntArray
 ) -> int:
@@ -276,7 +168,7 @@ def triangle_net(
 @compiled
 def _barycentric(a: FloatArray, b: FloatArray, c: FloatArray, weights: FloatArray) -> None:
     """Writes the linear functions (3, 3) that are 1 at the own corner and 0 at the others."""
-    area = _orientation(a, b, c)
+    area = turn(a, b, c)
     corners = (a, b, c)
     for i in range(3):
         p, q = corners[(i + 1) % 3], corners[(i + 2) % 3]

@@ -164,8 +164,8 @@ def _blend(
     offsets = pixels[:, None] - corners  # [P, N, 2]
     distance: FloatArray = np.sum(offsets * offsets, axis=2)
     distance[~seen[:, ~blended].T] = np.inf
-    nearest = np.argmin(distance, axis=1)
-    found = np.isfinite(distance[np.arange(len(pixels)), nearest])
+    nearest = distance.argmin(axis=1)
+    found = np.isfinite(distance.min(axis=1))
     substitute = colours[nearest, rows[~blended], columns[~blended]]
     image[~blended] = np.where(found[:, None], substitute, 0.0)
     covered = blended.copy()
