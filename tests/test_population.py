@@ -109,7 +109,7 @@ def test_a_belief_that_is_everywhere_keeps_its_particles() -> None:
 def particles(count: int, heading: float, seed: int) -> FloatArray:
     spread = np.array([0.5, 2.0, 0.3])
     draws = np.random.default_rng(1000 + seed).normal(size=(count, 3))
-    return draws * spread + np.array([3.0, -1.0, heading])
+    return np.asarray(draws * spread + np.array([3.0, -1.0, heading]))
 
 
 @pytest.mark.parametrize("heading", [0.0, 3.1])

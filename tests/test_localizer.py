@@ -1,0 +1,455 @@
+"""The particle filter in front of a painted wall whose views are true by construction."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipelines.artifacts.array_types import FloatArray, ImageArray
+from pipelines.artifacts.errors import OptionError
+from pipelines.dataset.images import encode_png
+from pipelines.geometry.camera import Undistorter
+from pipelines.geometry.pose import world_from_base_planar, wrap_angle
+from pipelines.lightfield.bundle import identifier_of
+from pipelines.lightfield.renderer import Renderer
+from pipelines.lightfield.scene import Scene
+from pipelines.localize.localizer import Localizer
+from pipelines.localize.motion import planar_increment
+from pipelines.localize.run import FrameRecord
+from pipelines.localize.settings import LocalizerSettings
+from tests.report_samples import CAMERA, MOUNT, facing_wall, photo, wall_scene
+
+SCENE = wall_scene()
+# The robot drives along the wall, comes nearer, and turns to the right.
+TRUTH = np.array([facing_wall(-1.0 + 0.2 * i, 1.8 - 0.05 * i, 0.3 - 0.06 * i) for i in range(8)])
+BLACK = np.zeros((CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
+
+
+def settings(**changes: Any) -> LocalizerSettings:
+    """A search that is small enough for a test."""
+    small: dict[str, Any] = {
+        "particles": 60,
+        "start_particles": 2000,
+        "coarse_width": 12,
+        "fine_width": 24,
+        "threads": 1,
+    }
+    return LocalizerSettings(**{**small, **changes})
+
+
+def paper_settings(**changes: Any) -> LocalizerSettings:
+    return settings(
+        strategy="condensation", resampling="multinomial", estimate="max_weight", **changes
+    )
+
+
+def localizer(chosen: LocalizerSettings, seed: int = 0, scene: Scene = SCENE) -> Localizer:
+    return Localizer(scene, CAMERA, MOUNT, chosen, np.random.default_rng(seed))
+
+
+def increments(truth: FloatArray) -> list[FloatArray]:
+    """The motion before each image; that before the first one is not used."""
+    poses = world_from_base_planar(truth)
+    return [np.zeros(3), *(planar_increment(a, b) for a, b in pairwise(poses))]
+
+
+def drive(
+    robot: Localizer, truth: FloatArray = TRUTH, images: Sequence[ImageArray] | None = None
+) -> list[FrameRecord]:
+    """The records of a drive with exact odometry; images other than the true ones on request."""
+    taken = [photo(state) for state in truth] if images is None else images
+    return [
+        robot.step(image, motion, float(number), f"{number}.png")
+        for number, (image, motion) in enumerate(zip(taken, increments(truth), strict=True))
+    ]
+
+
+def content(record: FrameRecord) -> list[object]:
+    """Everything in a record but the time that it took, as bytes where it is an array."""
+    arrays = (record.particles, record.log_weights, record.modes, record.covariance)
+    numbers = (record.timestamp, record.effective_sample_size, record.confidence)
+    estimates = {name: state.tobytes() for name, state in record.estimates.items()}
+    names = (record.image_name, record.status)
+    return [*(array.tobytes() for array in arrays), numbers, names, estimates]
+
+
+def position_error(record: FrameRecord, truth: FloatArray, estimate: str = "mode") -> float:
+    return float(np.hypot(*(record.estimates[estimate] - truth)[:2]))
+
+
+def heading_error(record: FrameRecord, truth: FloatArray, estimate: str = "mode") -> float:
+    return abs(float(wrap_angle(record.estimates[estimate][2] - truth[2])))
+
+
+# --- the same seed, the same numbers -----------------------------------------------------------
+
+
+@pytest.mark.parametrize("make", [settings, paper_settings])
+def test_a_seed_determines_every_record_whatever_the_threads(make: Any) -> None:
+    first = [content(record) for record in drive(localizer(make(), seed=3))]
+    again = [content(record) for record in drive(localizer(make(), seed=3))]
+    threads = [content(record) for record in drive(localizer(make(threads=2), seed=3))]
+    assert first == again
+    assert first == threads
+
+
+@pytest.mark.parametrize("make", [settings, paper_settings])
+def test_another_seed_gives_other_particles(make: Any) -> None:
+    first, other = (drive(localizer(make(), seed=seed), TRUTH[:2]) for seed in (3, 4))
+    for record, another in zip(first, other, strict=True):
+        assert not np.any(np.isin(record.particles[:, 0], another.particles[:, 0]))
+
+
+# --- the paper's filter ------------------------------------------------------------------------
+
+
+def paper_filter(chosen: LocalizerSettings, seed: int) -> list[tuple[FloatArray, FloatArray]]:
+    """Particles and log-weights of each frame by the paper's steps, written down once more.
+
+    Nothing of ``pipelines.localize`` is used here but its numbers; the renderer's costs are not
+    what is tested.
+    """
+    rng = np.random.default_rng(seed)
+    renderer = Renderer.of_scene(SCENE, 4 * chosen.fine_width, chosen.blending, threads=1)
+    count, noise = chosen.particles, chosen.motion
+    x_min, x_max, y_min, y_max = SCENE.bounds
+    low, high = np.array([x_min, y_min, -np.pi]), np.array([x_max, y_max, np.pi])
+    states = low + (high - low) * rng.random((count, 3))
+    states[:, 2] = wrap_angle(states[:, 2])
+    log_weights = np.full(count, -np.log(count))
+    frames: list[tuple[FloatArray, FloatArray]] = []
+    for number, true_state in enumerate(TRUTH):
+        if number > 0:
+            # Draw with probability proportional to weight, each draw on its own.
+            weights = np.exp(log_weights - np.max(log_weights))
+            sums = np.cumsum(weights)
+            drawn = states[np.searchsorted(sums, rng.random(count) * sums[-1], side="right")]
+            # Move each by odometry and noise.
+            forward, left, turn = increments(TRUTH)[number]
+            driven = forward * forward + left * left
+            along = noise.alpha3 * driven + noise.alpha4 * turn * turn + noise.position_floor**2
+            about = noise.alpha1 * turn * turn + noise.alpha2 * driven + noise.heading_floor**2
+            spread = np.array([np.sqrt(along), np.sqrt(along), np.sqrt(about)])
+            move = np.array([forward, left, turn]) + spread * rng.standard_normal((count, 3))
+            cosine, sine = np.cos(drawn[:, 2]), np.sin(drawn[:, 2])
+            states = np.stack(
+                [
+                    drawn[:, 0] + cosine * move[:, 0] - sine * move[:, 1],
+                    drawn[:, 1] + sine * move[:, 0] + cosine * move[:, 1],
+                    wrap_angle(drawn[:, 2] + move[:, 2]),
+                ],
+                axis=1,
+            )
+        # Weight with the likelihood of the image, normalise.
+        image, pinhole = photo(true_state), CAMERA.intrinsics.resized(24, 18)
+        query = np.rint(image.reshape(18, 2, 24, 2, 3).mean(axis=(1, 3)) + 1e-9)
+        costs = renderer.costs(
+            world_from_base_planar(states) @ MOUNT,
+            pinhole,
+            query.astype(np.uint8),
+            chosen.likelihood.cost,
+            chosen.likelihood.fit_gain,
+        )
+        log_weights = np.full(count, -np.log(count)) - chosen.likelihood.sharpness * costs
+        log_weights = log_weights - np.max(log_weights)
+        log_weights = log_weights - np.log(np.sum(np.exp(log_weights)))
+        frames.append((states, log_weights))
+    return frames
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_condensation_does_exactly_the_steps_of_the_paper(seed: int) -> None:
+    chosen = paper_settings(particles=150)
+    records = drive(localizer(chosen, seed))
+    expected = paper_filter(chosen, seed)
+    for record, (states, log_weights) in zip(records, expected, strict=True):
+        np.testing.assert_array_equal(record.particles, states)
+        np.testing.assert_array_equal(record.log_weights, log_weights)
+        heaviest = states[int(np.argmax(log_weights))]
+        np.testing.assert_array_equal(record.estimates["max_weight"], heaviest)
+
+
+def test_condensation_keeps_the_number_of_particles_and_the_width() -> None:
+    records = drive(localizer(paper_settings(particles=77)))
+    assert [len(record.particles) for record in records] == [77] * len(TRUTH)
+
+
+def test_condensation_tracks_from_a_pose() -> None:
+    start = (float(TRUTH[0, 0]), float(TRUTH[0, 1]), float(TRUTH[0, 2]))
+    chosen = paper_settings(particles=195, start=start, start_position_sigma=0.15)
+    for seed in range(5):
+        last = drive(localizer(chosen, seed))[-1]
+        assert position_error(last, TRUTH[-1], "max_weight") < 0.15
+        assert heading_error(last, TRUTH[-1], "max_weight") < math.radians(6.0)
+
+
+# --- the search --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_robot_is_found_anywhere_and_tracked(seed: int) -> None:
+    records = drive(localizer(settings(), seed))
+    assert records[0].status == "global"
+    words = [record.status for record in records]
+    found = words.index("tracking")
+    assert words == ["global"] * found + ["tracking"] * (len(words) - found)
+    assert found <= 4
+    counts = [len(record.particles) for record in records]
+    assert counts[0] == 2000
+    assert counts == sorted(counts, reverse=True)
+    for record, truth in zip(records[-3:], TRUTH[-3:], strict=True):
+        for estimate in ("mode", "mean"):
+            assert position_error(record, truth, estimate) < 0.1
+            assert heading_error(record, truth, estimate) < math.radians(4.0)
+    assert records[-1].confidence > 0.5
+    assert records[0].confidence < 0.1
+
+
+def test_the_covariance_covers_the_error() -> None:
+    for seed in range(3):
+        last = drive(localizer(settings(), seed))[-1]
+        error = last.estimates["mode"] - TRUTH[-1]
+        assert error @ np.linalg.solve(last.covariance, error) < 25.0
+
+
+def test_the_belief_is_the_last_record() -> None:
+    robot = localizer(settings())
+    record = drive(robot, TRUTH[:2])[-1]
+    np.testing.assert_array_equal(robot.belief.states, record.particles)
+    np.testing.assert_array_equal(robot.belief.log_weights, record.log_weights)
+    assert record.image_name == "1.png"
+    assert record.timestamp == 1.0
+    assert {"prepare", "motion", "likelihood", "estimate", "resampling"} == set(record.seconds)
+    assert min(record.seconds.values()) >= 0.0
+
+
+def test_the_motion_before_the_first_image_is_not_used() -> None:
+    image = photo(TRUTH[0])
+    without = localizer(settings()).step(image)
+    ignored = localizer(settings()).step(image, np.array([5.0, 5.0, 1.0]))
+    assert content(without) == content(ignored)
+
+
+def test_a_robot_that_stands_still_is_found_too() -> None:
+    truth = np.repeat(TRUTH[2:3], 8, axis=0)
+    robot = localizer(settings(), 1)
+    records = [robot.step(photo(state)) for state in truth]
+    assert records[-1].status == "tracking"
+    assert position_error(records[-1], truth[-1]) < 0.1
+
+
+# --- two places that look the same -------------------------------------------------------------
+
+PERIOD = 2.0 * np.pi
+
+
+def periodic_scene() -> Scene:
+    """The painting repeats after 2 pi metres, and the map now shows two periods of it."""
+    states = np.array([facing_wall(x, 2.0) for x in np.arange(-5.0, 8.0, 1.0)])
+    poses = world_from_base_planar(states) @ MOUNT
+    images = tuple(encode_png(photo(state)) for state in states)
+    return replace(
+        SCENE,
+        image_names=tuple(f"{number}.png" for number in range(len(states))),
+        encoded_images=images,
+        timestamps=np.arange(float(len(states))),
+        camera_index=np.zeros(len(states), dtype=np.int64),
+        world_from_camera=poses,
+        bounds=np.array([-5.0, 7.0, -3.0, 0.0]),
+        identifier=identifier_of(images, poses, SCENE.surface, MOUNT),
+    )
+
+
+def test_two_equal_places_stay_two_answers() -> None:
+    truth = TRUTH[:5] - np.array([2.0, 0.0, 0.0])
+    twin = truth + np.array([PERIOD, 0.0, 0.0])
+    chosen = settings(particles=400, start_particles=4000)
+    scene = periodic_scene()
+    for seed in range(2):
+        last = drive(localizer(chosen, seed, scene), truth)[-1]
+        assert last.status == "global"
+        assert len(last.modes) >= 2
+        assert last.modes[:2, 3].min() > 0.15
+        places = [truth[-1, 0], twin[-1, 0]]
+        np.testing.assert_allclose(sorted(last.modes[:2, 0]), places, atol=0.15)
+        # Nearly half of the weight lies elsewhere, and the confidence says so.
+        assert last.confidence < 0.8
+
+
+# --- nothing to go by --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("make", [settings, paper_settings])
+def test_a_covered_lens_is_lost_and_not_a_pose(make: Any) -> None:
+    start = (float(TRUTH[0, 0]), float(TRUTH[0, 1]), float(TRUTH[0, 2]))
+    images = [photo(state) for state in TRUTH[:4]] + [BLACK] * 3 + [photo(TRUTH[7])]
+    chosen = make(start=start, start_position_sigma=0.1)
+    records = drive(localizer(chosen), TRUTH, images)
+    assert [record.status for record in records[:4]] == ["tracking"] * 4
+    for record in records[4:7]:
+        assert record.status == "lost"
+        assert record.estimates == {}
+        assert record.confidence == 0.0
+        # The particles are still there: odometry carried them.
+        assert len(record.particles) == 60
+    assert records[7].status == "tracking"
+    assert position_error(records[7], TRUTH[7]) < 0.3
+
+
+def test_black_images_from_the_start_never_claim_to_track() -> None:
+    records = drive(localizer(settings()), TRUTH, [BLACK] * len(TRUTH))
+    assert {record.status for record in records} <= {"global", "lost"}
+    assert max(record.confidence for record in records) == 0.0
+
+
+def test_a_kidnapped_robot_is_not_followed_silently() -> None:
+    elsewhere = facing_wall(2.2, 0.9, -0.5)
+    images = [photo(state) for state in TRUTH[:6]] + [photo(elsewhere)] * 2
+    records = drive(localizer(settings(), 1), TRUTH, images)
+    assert records[5].status == "tracking"
+    assert records[6].confidence < 0.3 * records[5].confidence
+    assert records[6].status == "lost"
+
+
+# --- where to start ----------------------------------------------------------------------------
+
+
+def test_a_start_pose_is_where_the_particles_are() -> None:
+    chosen = settings(
+        particles=2000,
+        start=(0.5, -1.5, 3.1),
+        start_position_sigma=0.2,
+        start_heading_sigma=0.3,
+    )
+    record = localizer(chosen).step(photo(TRUTH[0]))
+    assert len(record.particles) == 2000
+    deviation = record.particles - np.array([0.5, -1.5, 3.1])
+    deviation[:, 2] = wrap_angle(deviation[:, 2])
+    assert np.all(np.abs(deviation.mean(axis=0)) < 0.03)
+    np.testing.assert_allclose(deviation.std(axis=0), [0.2, 0.2, 0.3], rtol=0.1)
+    assert record.status != "global"
+
+
+def test_the_start_is_uniform_over_the_scene_or_over_the_area() -> None:
+    whole = localizer(settings()).belief.states
+    area = (-1.0, 0.5, -2.0, -1.5)
+    part = localizer(settings(area=area)).belief.states
+    for states, bounds in ((whole, SCENE.bounds), (part, area)):
+        low, high = np.array(bounds)[[0, 2]], np.array(bounds)[[1, 3]]
+        assert np.all((states[:, :2] >= low) & (states[:, :2] <= high))
+        share = (states[:, :2] - low) / (high - low)
+        np.testing.assert_allclose(share.mean(axis=0), 0.5, atol=0.05)
+        np.testing.assert_allclose(share.std(axis=0), math.sqrt(1.0 / 12.0), atol=0.02)
+        np.testing.assert_allclose(np.cos(states[:, 2]).mean(), 0.0, atol=0.1)
+
+
+@pytest.mark.parametrize(
+    "area",
+    [
+        (4.0, 5.0, -2.0, -1.0),
+        (-9.0, -3.0, -2.0, -1.0),
+        (-1.0, 1.0, 0.0, 1.0),
+        (-1.0, 1.0, -9.0, -4.0),
+    ],
+)
+@pytest.mark.parametrize("make", [settings, paper_settings])
+def test_an_area_outside_the_model_is_refused(
+    make: Any, area: tuple[float, float, float, float]
+) -> None:
+    with pytest.raises(OptionError, match=r"covers x -3.00 to 3.00 m, y -3.00 to 0.00 m"):
+        localizer(make(area=area))
+
+
+def test_an_area_that_overlaps_the_model_is_searched() -> None:
+    states = localizer(settings(area=(2.0, 4.0, -2.0, -1.0))).belief.states
+    assert states[:, 0].max() > 3.5
+
+
+# --- bad input from a robot program ------------------------------------------------------------
+
+
+@pytest.mark.parametrize("shape", [(24, 18, 3), (36, 49, 3), (48, 36, 3)])
+def test_an_image_of_another_size_is_refused(shape: tuple[int, int, int]) -> None:
+    with pytest.raises(OptionError, match="its camera 48x36"):
+        localizer(settings()).step(np.zeros(shape, dtype=np.uint8))
+
+
+@pytest.mark.parametrize(
+    "increment",
+    [[np.nan, 0.0, 0.0], [0.0, np.inf, 0.0], [0.0, 0.0, -np.inf], [0.1, 0.0], [[0.1, 0.0, 0.0]]],
+)
+def test_a_motion_that_is_not_three_finite_numbers_is_refused(increment: list[float]) -> None:
+    robot = localizer(settings())
+    robot.step(photo(TRUTH[0]))
+    with pytest.raises(OptionError, match="increment"):
+        robot.step(photo(TRUTH[1]), np.array(increment))
+
+
+def test_what_was_refused_leaves_no_trace() -> None:
+    plain, troubled = localizer(settings(), 5), localizer(settings(), 5)
+    expected = drive(plain, TRUTH[:3])
+    motions = increments(TRUTH)
+    records = []
+    for number in range(3):
+        with pytest.raises(OptionError):
+            troubled.step(BLACK[:10], motions[number])
+        if number > 0:
+            with pytest.raises(OptionError):
+                troubled.step(photo(TRUTH[number]), np.full(3, np.nan))
+        image = photo(TRUTH[number])
+        records.append(troubled.step(image, motions[number], float(number), f"{number}.png"))
+    assert [content(record) for record in records] == [content(record) for record in expected]
+
+
+def test_the_caller_keeps_its_arrays() -> None:
+    image, motion = photo(TRUTH[0]), np.array([0.1, 0.0, 0.05])
+    image_before, motion_before = image.copy(), motion.copy()
+    robot = localizer(settings())
+    first = robot.step(image, motion)
+    before = content(first)
+    robot.step(image, motion)
+    np.testing.assert_array_equal(image, image_before)
+    np.testing.assert_array_equal(motion, motion_before)
+    # A record is history: later steps do not change it.
+    assert content(first) == before
+
+
+def test_a_renderer_can_be_shared() -> None:
+    chosen = settings()
+    renderer = Renderer.of_scene(SCENE, 4 * chosen.fine_width, chosen.blending, threads=1)
+    shared = Localizer(SCENE, CAMERA, MOUNT, chosen, np.random.default_rng(0), renderer)
+    own = localizer(chosen)
+    image = photo(TRUTH[0])
+    assert content(shared.step(image)) == content(own.step(image))
+
+
+def test_a_distorted_camera_is_undistorted_before_it_is_compared() -> None:
+    bent = replace(CAMERA, model="SIMPLE_RADIAL", params=(24.0, 23.5, 17.5, -0.05))
+    pinhole = Undistorter(bent).intrinsics
+    assert pinhole != CAMERA.intrinsics
+    robot = Localizer(SCENE, bent, MOUNT, settings(), np.random.default_rng(0))
+    records = [
+        robot.step(distorted_photo(state, -0.05), motion)
+        for state, motion in zip(TRUTH, increments(TRUTH), strict=True)
+    ]
+    assert position_error(records[-1], TRUTH[-1]) < 0.1
+
+
+def distorted_photo(state: FloatArray, k: float) -> ImageArray:
+    """Radial distortion x' = x (1 + k r^2), inverted pixel by pixel on a fine pinhole photo."""
+    factor = 8
+    wide = replace(CAMERA.intrinsics, width=96, height=72, cx=47.5, cy=35.5)
+    fine = photo(state, wide.resized(factor * wide.width, factor * wide.height))
+    rows, columns = np.mgrid[0 : CAMERA.height, 0 : CAMERA.width]
+    bent_x, bent_y = (columns - 23.5) / 24.0, (rows - 17.5) / 24.0
+    x, y = bent_x.copy(), bent_y.copy()
+    for _ in range(50):
+        scale = 1.0 + k * (x * x + y * y)
+        x, y = bent_x / scale, bent_y / scale
+    u = np.rint((24.0 * x + 47.5 + 0.5) * factor - 0.5).astype(int)
+    v = np.rint((24.0 * y + 35.5 + 0.5) * factor - 0.5).astype(int)
+    return np.asarray(fine[v, u], dtype=np.uint8)
