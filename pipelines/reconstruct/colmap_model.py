@@ -18,6 +18,7 @@ import numpy as np
 
 from pipelines.artifacts.array_types import FloatArray, ImageArray, IntArray
 from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.artifacts.file_content import read_file
 from pipelines.geometry.camera import CAMERA_MODELS, Camera
 from pipelines.geometry.pose import pose_from_quaternion, quaternion_of
 
@@ -109,25 +110,6 @@ def _shift_principal_point(model: str, params: Sequence[float], shift: float) ->
     )
 
 
-def read_file(path: Path, limit: int = MAX_MODEL_FILE_BYTES) -> bytes:
-    """The whole content of a regular file of at most ``limit`` bytes.
-
-    Raises:
-        InputError: it is missing, no regular file (a device never ends), too large or unreadable.
-    """
-    if not path.exists():
-        raise InputError(path, "does not exist")
-    if not path.is_file():
-        raise InputError(path, "is not a file")
-    try:
-        size = path.stat().st_size
-        if size > limit:
-            raise InputError(path, f"has {size} bytes; at most {limit} are read")
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(path, f"cannot be read ({error.strerror or error})") from error
-
-
 class _Cursor:
     """Walks through the bytes of one file and refuses to step over their end."""
 
@@ -195,7 +177,7 @@ def read_model(folder: Path) -> ColmapModel:
 
 
 def _read_cameras(path: Path) -> dict[int, Camera]:
-    cursor = _Cursor(path, read_file(path))
+    cursor = _Cursor(path, read_file(path, MAX_MODEL_FILE_BYTES))
     cameras: dict[int, Camera] = {}
     for _ in range(cursor.count(CAMERA_HEADER.size)):
         header = [int(value) for value in cursor.unpack(CAMERA_HEADER)]
@@ -205,23 +187,35 @@ def _read_cameras(path: Path) -> dict[int, Camera]:
             raise InputError(
                 path, f"camera {identifier} has model number {number}", f"known: {known}"
             )
-        if max(width, height) > MAX_IMAGE_SIDE:
-            raise InputError(path, f"camera {identifier} has {width}x{height} pixels")
         if identifier in cameras:
             raise InputError(path, f"camera {identifier} is there twice")
         model = MODEL_NAMES[number]
         params = cursor.unpack(struct.Struct(f"<{len(CAMERA_MODELS[model])}d"))
-        shifted = _shift_principal_point(model, params, -PIXEL_CENTRE_SHIFT)
-        try:
-            cameras[identifier] = Camera(model, width, height, shifted)
-        except OptionError as error:
-            raise InputError(path, f"camera {identifier}: {error}") from error
+        cameras[identifier] = camera_from_colmap(path, identifier, model, (width, height), params)
     cursor.finish()
     return cameras
 
 
+def camera_from_colmap(
+    path: Path, identifier: int, model: str, size: tuple[int, int], params: Sequence[float]
+) -> Camera:
+    """The camera that COLMAP describes so, its principal point half a pixel nearer.
+
+    Raises:
+        InputError: an impossible size, or numbers that no camera has.
+    """
+    if max(size) > MAX_IMAGE_SIDE:
+        raise InputError(path, f"camera {identifier} has {size[0]}x{size[1]} pixels")
+    try:
+        # Which first of all compares the number of the parameters with the model's.
+        Camera(model, *size, tuple(params))
+        return Camera(model, *size, _shift_principal_point(model, params, -PIXEL_CENTRE_SHIFT))
+    except OptionError as error:
+        raise InputError(path, f"camera {identifier}: {error}") from error
+
+
 def _read_images(path: Path, cameras: dict[int, Camera]) -> tuple[ModelImage, ...]:
-    cursor = _Cursor(path, read_file(path))
+    cursor = _Cursor(path, read_file(path, MAX_MODEL_FILE_BYTES))
     images: dict[int, ModelImage] = {}
     for _ in range(cursor.count(IMAGE_HEADER.size + 1 + COUNT.size)):
         header = cursor.unpack(IMAGE_HEADER)
@@ -240,7 +234,7 @@ def _read_images(path: Path, cameras: dict[int, Camera]) -> tuple[ModelImage, ..
             identifier,
             name,
             camera,
-            _pose_of(path, name, header[1:8]),
+            image_pose(path, name, header[1:8]),
             keypoints["pixel"].astype(np.float64) - PIXEL_CENTRE_SHIFT,
             keypoints["point"].astype(np.int64),
         )
@@ -248,7 +242,12 @@ def _read_images(path: Path, cameras: dict[int, Camera]) -> tuple[ModelImage, ..
     return tuple(images.values())
 
 
-def _pose_of(path: Path, name: str, values: Sequence[float]) -> FloatArray:
+def image_pose(path: Path, name: str, values: Sequence[float]) -> FloatArray:
+    """camera_from_world ``(4, 4)`` of a quaternion w x y z and a translation, seven numbers.
+
+    Raises:
+        InputError: not finite, or the quaternion is no unit quaternion.
+    """
     quaternion_wxyz, translation = np.array(values[:4]), np.array(values[4:])
     if not (np.all(np.isfinite(quaternion_wxyz)) and np.all(np.isfinite(translation))):
         raise InputError(path, f"image {name!r} has a pose that is not finite")
@@ -259,7 +258,7 @@ def _pose_of(path: Path, name: str, values: Sequence[float]) -> FloatArray:
 
 
 def _read_points(path: Path, images: tuple[ModelImage, ...]) -> ModelPoints:
-    cursor = _Cursor(path, read_file(path))
+    cursor = _Cursor(path, read_file(path, MAX_MODEL_FILE_BYTES))
     count = cursor.count(POINT_HEADER.size)
     identifiers = np.empty(count, dtype=np.int64)
     values = np.empty((count, 4))
@@ -284,14 +283,18 @@ def _read_points(path: Path, images: tuple[ModelImage, ...]) -> ModelPoints:
     if len(np.unique(identifiers)) != count:
         raise InputError(path, "holds the same point twice")
     all_tracks = np.concatenate(tracks) if tracks else np.empty((0, 3), dtype=np.int64)
-    _check_tracks(path, identifiers, all_tracks, images)
+    check_tracks(path, identifiers, all_tracks, images)
     return ModelPoints(identifiers, values[:, :3].copy(), colors, values[:, 3].copy(), all_tracks)
 
 
-def _check_tracks(
+def check_tracks(
     path: Path, identifiers: IntArray, tracks: IntArray, images: tuple[ModelImage, ...]
 ) -> None:
-    """Every track names keypoints that exist and that name the point in turn."""
+    """Makes sure that every track names keypoints that exist and that name the point in turn.
+
+    Raises:
+        InputError: a track or a keypoint contradicts the other.
+    """
     known = np.array([image.identifier for image in images], dtype=np.int64)
     strangers = np.setdiff1d(tracks[:, 1], known)
     if len(strangers):

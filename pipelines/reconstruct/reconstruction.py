@@ -16,6 +16,8 @@ import numpy as np
 from pipelines.artifacts.array_types import FloatArray, ImageArray, IntArray
 from pipelines.artifacts.atomic import atomic_folder
 from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.artifacts.file_content import read_file
+from pipelines.artifacts.json_fields import JsonFields, read_json_object
 from pipelines.artifacts.provenance import sha256_of_bytes
 from pipelines.geometry.camera import Camera
 from pipelines.geometry.pose import inverse
@@ -24,11 +26,9 @@ from pipelines.reconstruct.colmap_model import (
     ColmapModel,
     ModelImage,
     ModelPoints,
-    read_file,
     read_model,
     write_model,
 )
-from pipelines.reconstruct.json_fields import JsonFields, read_json_object
 
 FORMAT = "lfnav reconstruction"
 SCHEMA_VERSION = 1
@@ -134,16 +134,33 @@ def save_reconstruction(
             replaced, or cannot be written.
     """
     with atomic_folder(path, overwrite, marker=DESCRIPTION_NAME) as folder:
-        model_folder = folder / MODEL_FOLDER
-        model_folder.mkdir()
-        write_model(model_folder, _colmap_model_of(reconstruction))
-        description = _description_of(path, reconstruction, provenance)
-        description["files"] = {
-            f"{MODEL_FOLDER}/{name}": sha256_of_bytes((model_folder / name).read_bytes())
-            for name in MODEL_FILES
-        }
-        text = json.dumps(description, indent=2, allow_nan=False) + "\n"
-        (folder / DESCRIPTION_NAME).write_text(text, encoding="utf-8")
+        write_reconstruction(folder, path, reconstruction, provenance)
+
+
+def write_reconstruction(
+    folder: Path, final_path: Path, reconstruction: Reconstruction, provenance: Mapping[str, Any]
+) -> None:
+    """Writes the files of a reconstruction into a folder; not atomic by itself.
+
+    Args:
+        folder: an empty folder.
+        final_path: where ``folder`` will be once it is complete; paths are relative to it.
+        reconstruction: the content.
+        provenance: versions, settings and hashes of the inputs.
+
+    Raises:
+        InputError: a file cannot be written.
+    """
+    model_folder = folder / MODEL_FOLDER
+    model_folder.mkdir()
+    write_model(model_folder, _colmap_model_of(reconstruction))
+    description = _description_of(final_path, reconstruction, provenance)
+    description["files"] = {
+        f"{MODEL_FOLDER}/{name}": sha256_of_bytes((model_folder / name).read_bytes())
+        for name in MODEL_FILES
+    }
+    text = json.dumps(description, indent=2, allow_nan=False) + "\n"
+    (folder / DESCRIPTION_NAME).write_text(text, encoding="utf-8")
 
 
 def _description_of(

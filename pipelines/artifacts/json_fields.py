@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from pipelines.artifacts.errors import InputError
-from pipelines.reconstruct.colmap_model import read_file
+from pipelines.artifacts.file_content import read_file
 
 Value = TypeVar("Value")
 
