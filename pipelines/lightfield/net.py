@@ -9,19 +9,23 @@ This module is the readable version, on SciPy's triangulation; ``net_kernels`` i
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import ConvexHull, Delaunay, QhullError
+from scipy.spatial import Delaunay, QhullError
 
 from pipelines.artifacts.array_types import BoolArray, FloatArray, IntArray
 from pipelines.geometry.camera import Intrinsics
-from pipelines.geometry.pose import inverse
 
 # Recording centres count as lying in one plane with the virtual centre, which makes the net
 # one-dimensional, when they leave that plane by less than this share of their distance (rms).
 FLATNESS_LIMIT = 0.01
 # A centre beside the virtual camera projects to infinity; it is moved to a large finite place.
 SMALLEST_RELATIVE_DEPTH = 1e-7
-# Centres that project nearer to each other than this, in pixels, are one corner of the net.
+# Centres that project nearer to each other than this, in pixels, are one corner of the net. Far
+# from the image, where neighbouring numbers lie farther apart, it is this share of the coordinates.
 COINCIDENT_PIXELS = 1e-6
+COINCIDENT_SHARE = 1e-12
+# Three corners count as lying on a line when their triangle is flatter than this share of the
+# square of its longest side.
+SMALLEST_AREA = 1e-12
 
 
 @dataclass(frozen=True)
@@ -53,7 +57,8 @@ def project_centres(
     Returns:
         ``(N, 2)`` pixels (possibly very far outside the image).
     """
-    points = centres @ inverse(world_from_camera)[:3, :3].T + inverse(world_from_camera)[:3, 3]
+    # The offset first: a centre at the virtual one is then at exactly zero, not at rounding noise.
+    points = (centres - world_from_camera[:3, 3]) @ world_from_camera[:3, :3]
     distance = np.linalg.norm(points, axis=1)
     smallest = np.maximum(SMALLEST_RELATIVE_DEPTH * distance, 1e-300)
     depth = np.where(np.abs(points[:, 2]) < smallest, smallest, points[:, 2])
@@ -141,8 +146,9 @@ def distinct_corners(corners: FloatArray, distance: FloatArray) -> IntArray:
     """
     kept: list[int] = []
     for index in np.argsort(distance, kind="stable"):
+        limit = max(COINCIDENT_PIXELS, COINCIDENT_SHARE * float(np.abs(corners[index]).max()))
         gaps = np.abs(corners[kept] - corners[index]).max(axis=1) if kept else np.array([np.inf])
-        if np.all(gaps > COINCIDENT_PIXELS):
+        if np.all(gaps > limit):
             kept.append(int(index))
     return np.array(kept, dtype=np.int64)
 
@@ -167,24 +173,43 @@ def _weights_in_triangles(corners: FloatArray, pixels: FloatArray) -> tuple[IntA
     """Two-dimensional net: barycentric weights inside, the border's blend outside."""
     triangulation = Delaunay(corners)
     simplex = triangulation.find_simplex(pixels)
-    inside = simplex >= 0
+    # Where outer corners lie on a line, rounding adds triangles without area.
+    solid = ~_is_flat(corners[triangulation.simplices])
+    inside = (simplex >= 0) & solid[simplex]
     views = np.zeros((len(pixels), 3), dtype=np.int64)
     weights = np.zeros((len(pixels), 3))
     transform = triangulation.transform[simplex[inside]]
     partial = np.einsum("nij,nj->ni", transform[:, :2], pixels[inside] - transform[:, 2])
     weights[inside] = np.column_stack([partial, 1.0 - partial.sum(axis=1)])
     views[inside] = triangulation.simplices[simplex[inside]]
-    outline = ConvexHull(corners).vertices.astype(np.int64)
-    views[~inside], weights[~inside] = _weights_beyond(corners, outline, pixels[~inside])
+    edges = _outer_edges(triangulation.simplices[solid].astype(np.int64))
+    views[~inside], weights[~inside] = _weights_beyond(corners, edges, pixels[~inside])
     weights = np.clip(weights, 0.0, 1.0)
     return views, weights / weights.sum(axis=1, keepdims=True)
 
 
+def _is_flat(triangles: FloatArray) -> BoolArray:
+    """Which of the triangles ``(t, 3, 2)`` have no area to within rounding."""
+    sides = triangles - np.roll(triangles, 1, axis=1)
+    area = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
+    return np.asarray(area <= SMALLEST_AREA * np.sum(sides**2, axis=2).max(axis=1))
+
+
+def _outer_edges(triangles: IntArray) -> IntArray:
+    """The edges ``(e, 2)`` that belong to one triangle only of ``(t, 3)``.
+
+    These are not the edges of the convex hull, which leaves out corners along a straight border.
+    """
+    sides = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    edges, count = np.unique(np.sort(sides, axis=1), axis=0, return_counts=True)
+    return np.asarray(edges[count == 1])
+
+
 def _weights_beyond(
-    corners: FloatArray, outline: IntArray, pixels: FloatArray
+    corners: FloatArray, edges: IntArray, pixels: FloatArray
 ) -> tuple[IntArray, FloatArray]:
-    """Blend at the outline's nearest point: an outer edge's two views, or a corner's view."""
-    start, end = corners[outline], corners[np.roll(outline, -1)]
+    """Blend at the nearest point of the outer edges (e, 2): an edge's two views or a corner's."""
+    start, end = corners[edges[:, 0]], corners[edges[:, 1]]
     edge = end - start
     along = np.einsum("nej,ej->ne", pixels[:, None] - start, edge) / np.sum(edge**2, axis=1)
     along = np.clip(along, 0.0, 1.0)
@@ -192,7 +217,7 @@ def _weights_beyond(
     distance = np.sum((pixels[:, None] - nearest) ** 2, axis=-1)
     best = np.argmin(distance, axis=1)
     ramp = along[np.arange(len(pixels)), best]
-    first, second = outline[best], np.roll(outline, -1)[best]
+    first, second = edges[best, 0], edges[best, 1]
     return (
         np.stack([first, second, second], axis=1).astype(np.int64),
         np.stack([1.0 - ramp, ramp, np.zeros_like(ramp)], axis=1),

@@ -12,6 +12,7 @@ from pipelines.artifacts.array_types import BoolArray, FloatArray, IntArray
 from pipelines.lightfield.compiled import compiled
 from pipelines.lightfield.net import (
     COINCIDENT_PIXELS,
+    COINCIDENT_SHARE,
     FLATNESS_LIMIT,
     SMALLEST_RELATIVE_DEPTH,
 )
@@ -37,14 +38,17 @@ def project_centre(
 def distinct_corners(corners: FloatArray, distance: FloatArray, kept: IntArray) -> int:
     """Writes the indices of corners that do not coincide, nearest first; returns their number."""
     count = 0
-    for index in np.argsort(distance):
+    # Stable: views from one place, as a turning camera takes them, are no matter of chance.
+    for index in np.argsort(distance, kind="mergesort"):
+        largest = max(abs(corners[index, 0]), abs(corners[index, 1]))
+        limit = max(COINCIDENT_PIXELS, COINCIDENT_SHARE * largest)
         is_new = True
         for other in kept[:count]:
             gap = max(
                 abs(corners[index, 0] - corners[other, 0]),
                 abs(corners[index, 1] - corners[other, 1]),
             )
-            if gap <= COINCIDENT_PIXELS:
+            if gap <= limit:
                 is_new = False
                 break
         if is_new:
@@ -101,7 +105,7 @@ def line_net(
     Returns:
         The number of cells: one below, one between any two, one above the corners.
     """
-    order = np.argsort(positions)
+    order = np.argsort(positions, kind="mergesort")
     count = len(order)
     cell_weights[: count + 1] = 0.0
     for cell in range(count + 1):
