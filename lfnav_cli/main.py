@@ -9,18 +9,27 @@ import click
 
 from lfnav_cli import common
 
-# Subcommand -> its one line in ``lfnav --help``. The module of the same name is imported only when
-# the subcommand is used, so that the help text appears at once.
+# Subcommand -> its one line in ``lfnav --help``. Its module (see ``module_of``) is imported only
+# when the subcommand is used, so that the help text appears at once.
 COMMANDS = {
+    "import": "A data set from COLMAP, nerfstudio, KITTI, 7-Scenes, a camera grid or a video.",
     "reconstruct": "Camera poses of a data set: structure from motion, odometry, or given.",
     "model": "A light-field scene model from a reconstruction.",
     "render": "Virtual views of a scene model.",
     "localize": "Where was the robot? A particle filter over a data set.",
     "evaluate": "Errors of a run against ground truth.",
     "report": "A page with figures that shows how a run went.",
-    "export": "A run as TUM, KITTI, EuRoC, CSV or JSON.",
+    "export": "A run as TUM, KITTI, EuRoC, CSV or JSON; a scene model as a COLMAP project.",
     "info": "What a file or folder made by lfnav, or a data set, contains.",
 }
+
+# Names that Python keeps for itself cannot be those of modules.
+_MODULES = {"import": "import_command"}
+
+
+def module_of(command_name: str) -> str:
+    """Name of the module in ``lfnav_cli`` that holds a subcommand."""
+    return _MODULES.get(command_name, command_name)
 
 
 class LazyGroup(click.Group):
@@ -34,9 +43,10 @@ class LazyGroup(click.Group):
         """The command, imported now; None where there is none of that name."""
         if cmd_name not in COMMANDS:
             return None
-        command = importlib.import_module(f"lfnav_cli.{cmd_name}").command
+        module = importlib.import_module(f"lfnav_cli.{module_of(cmd_name)}")
+        command = module.command
         if not isinstance(command, click.Command):
-            raise TypeError(f"lfnav_cli.{cmd_name}.command is not a click command")
+            raise TypeError(f"{module.__name__}.command is not a click command")
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

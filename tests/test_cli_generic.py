@@ -14,13 +14,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lfnav_cli import common
-from lfnav_cli.main import COMMANDS, main, stop_cleanly
+from lfnav_cli.main import COMMANDS, main, module_of, stop_cleanly
 from pipelines.artifacts.errors import InputError, StageError
 
 HEAVY = {"numpy", "scipy", "cv2", "numba", "pycolmap", "matplotlib", "h5py", "PIL", "tqdm"}
 
 # Arguments with which each command gets as far as looking at its input, which does not exist.
 INPUT_IS_MISSING = {
+    "import": ["missing", "-o", "output"],
     "reconstruct": ["missing", "-o", "output", "--method", "odometry"],
     "model": ["missing", "-o", "output"],
     "render": ["missing", "-o", "output", "--pose", "0,0,0"],
@@ -78,7 +79,7 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
 def test_commands_and_modules_are_the_same() -> None:
     folder = Path(common.__file__).parent
     modules = {path.stem for path in folder.glob("*.py")} - {"__init__", "main", "common"}
-    assert modules == set(COMMANDS)
+    assert modules == {module_of(name) for name in COMMANDS}
 
 
 @every_command

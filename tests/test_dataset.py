@@ -225,7 +225,10 @@ def test_an_empty_folder(tmp_path: Path) -> None:
 
 
 def test_a_file_instead_of_a_folder(tmp_path: Path) -> None:
-    for name, reason in (("drive.MP4", "is a video.*extract its frames"), ("a.txt", "is a file")):
+    for name, reason in (
+        ("drive.MP4", "is a video.*lfnav import drive.MP4"),
+        ("a.txt", "is a file"),
+    ):
         (tmp_path / name).write_bytes(b"data")
         refused(tmp_path / name, tmp_path / name, reason)
 

@@ -5,6 +5,14 @@ from pathlib import Path
 from pipelines.artifacts.errors import InputError
 
 
+def is_file(path: Path) -> bool:
+    """Whether ``path`` is an existing regular file; names that no file can have are none."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # too long, for example
+        return False
+
+
 def read_file(path: Path, limit: int) -> bytes:
     """The whole content of a regular file of at most ``limit`` bytes.
 

@@ -9,8 +9,8 @@ from typing import Any
 
 from pipelines.artifacts.array_types import FloatArray
 from pipelines.artifacts.errors import InputError, OptionError
-from pipelines.geometry.camera import Camera
-from pipelines.geometry.pose import base_from_camera_mount
+from pipelines.geometry.camera import CAMERA_MODELS, Camera
+from pipelines.geometry.pose import base_from_camera_mount, mount_of
 
 MAX_CAMERA_FILE_BYTES = 1024**2
 _REQUIRED_KEYS = ("model", "width", "height", "params")
@@ -53,6 +53,26 @@ def read_camera_file(path: Path) -> CameraFile:
     if depth_scale is not None and depth_scale <= 0.0:
         raise InputError(path, f"depth_scale = {depth_scale:g} is not positive")
     return CameraFile(_camera(path, table), _mount(path, table), depth_scale)
+
+
+def format_camera_file(content: CameraFile) -> str:
+    """The text of a ``camera.toml``; ``read_camera_file`` reads it back."""
+    camera = content.camera
+    params = ", ".join(repr(float(value)) for value in camera.params)
+    lines = [
+        f'model = "{camera.model}"',
+        f"width = {camera.width}",
+        f"height = {camera.height}",
+        f"params = [{params}]  # {' '.join(CAMERA_MODELS[camera.model])}",
+    ]
+    if content.depth_scale is not None:
+        lines.append(f"depth_scale = {float(content.depth_scale)!r}")
+    if content.base_from_camera is not None:
+        position, angles_deg = mount_of(content.base_from_camera)
+        lines += ["", "[mount]  # metres and degrees"]
+        values = (*position.tolist(), *angles_deg.tolist())
+        lines += [f"{key} = {value!r}" for key, value in zip(_MOUNT_KEYS, values, strict=True)]
+    return "\n".join(lines) + "\n"
 
 
 def _camera(path: Path, table: Mapping[str, Any]) -> Camera:

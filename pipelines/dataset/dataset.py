@@ -17,6 +17,7 @@ import numpy as np
 
 from pipelines.artifacts.array_types import FloatArray, ImageArray
 from pipelines.artifacts.errors import InputError
+from pipelines.artifacts.file_content import is_file
 from pipelines.dataset.camera_file import CameraFile, read_camera_file
 from pipelines.dataset.images import (
     IMAGE_SUFFIXES,
@@ -178,9 +179,8 @@ def _check_folder(root: Path) -> None:
     if root.suffix.lower() in VIDEO_SUFFIXES:
         raise InputError(
             root,
-            "is a video, which lfnav does not read yet",
-            f"extract its frames first, for example: mkdir frames && ffmpeg -i {root.name} "
-            "frames/%05d.png",
+            "is a video, not a folder of images",
+            f"extract its frames first: lfnav import {root.name} -o frames",
         )
     raise InputError(root, "is a file, not a folder", "a data set is a folder of images")
 
@@ -212,7 +212,7 @@ def _read_list(root: Path, list_name: str) -> tuple[FloatArray, tuple[str, ...]]
             )
         if name in entries:
             raise InputError(path, f"line {number}: {name} is named a second time")
-        if not _is_file(root / name):
+        if not is_file(root / name):
             raise InputError(path, f"line {number}: {name} is not there")
         entries[name] = last = time
     if not entries:
@@ -239,13 +239,6 @@ def _parse_entry(content: str) -> tuple[float, str]:
     return time, str(name)
 
 
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except OSError:  # the name is too long, for example
-        return False
-
-
 def _check_plain(root: Path) -> None:
     """Made-up times must not be paired with recorded ones."""
     for name in (ODOMETRY_FILE, GROUNDTRUTH_FILE, DEPTH_LIST):
@@ -259,14 +252,14 @@ def _check_plain(root: Path) -> None:
 
 def _plain_images(root: Path) -> tuple[str, ...]:
     """The images of a plain folder in natural order, or else those of its one sub-folder."""
-    names = _images_in(root)
+    names = images_in(root)
     if names:
         return names
     try:
         folders = sorted(p for p in root.iterdir() if p.is_dir() and not p.name.startswith("."))
     except OSError as error:
         raise InputError(root, f"cannot be read ({error.strerror or error})") from error
-    found = {folder.name: _images_in(folder) for folder in folders}
+    found = {folder.name: images_in(folder) for folder in folders}
     found = {folder: images for folder, images in found.items() if images}
     if not found:
         raise InputError(
@@ -282,7 +275,12 @@ def _plain_images(root: Path) -> tuple[str, ...]:
     return tuple(f"{folder}/{image}" for image in images)
 
 
-def _images_in(folder: Path) -> tuple[str, ...]:
+def images_in(folder: Path) -> tuple[str, ...]:
+    """Names of the JPEG and PNG files in a folder, in natural order.
+
+    Raises:
+        InputError: the folder cannot be read.
+    """
     try:
         names = [
             entry.name
@@ -293,10 +291,10 @@ def _images_in(folder: Path) -> tuple[str, ...]:
         ]
     except OSError as error:
         raise InputError(folder, f"cannot be read ({error.strerror or error})") from error
-    return tuple(sorted(names, key=_natural_key))
+    return tuple(sorted(names, key=natural_key))
 
 
-def _natural_key(name: str) -> tuple[list[tuple[int, str]], str]:
+def natural_key(name: str) -> tuple[list[tuple[int, str]], str]:
     """Orders ``img2`` before ``img10``; the name itself decides between ``img1`` and ``img01``."""
     parts = re.split(r"([0-9]+)", name.lower())
     # Odd parts are the numbers; compared by length first, digits need no conversion.

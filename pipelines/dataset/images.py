@@ -146,6 +146,13 @@ def encode_jpeg(image: ImageArray, quality: int = 95) -> bytes:
     return buffer.getvalue()
 
 
+def encode_depth(depth: NDArray[np.uint16]) -> bytes:
+    """A 16-bit grey PNG of a depth image ``(H, W)``; ``decode_depth`` reads it back."""
+    buffer = io.BytesIO()
+    Image.fromarray(depth).save(buffer, "PNG")
+    return buffer.getvalue()
+
+
 def _check_file(path: Path) -> None:
     """Regular files of a sane size only: reading a named pipe would wait for ever."""
     try:

@@ -124,3 +124,14 @@ def base_from_camera_mount(position: ArrayLike, roll_pitch_yaw_deg: ArrayLike) -
     """
     turn = Rotation.from_euler("xyz", np.asarray(roll_pitch_yaw_deg, np.float64), degrees=True)
     return pose_from_rotation(turn.as_matrix() @ BASE_FROM_FORWARD_CAMERA, position)
+
+
+def mount_of(base_from_camera: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Position ``(3,)`` and roll, pitch, yaw in degrees ``(3,)``, of ``base_from_camera_mount``.
+
+    A camera that looks straight up or down has no unique roll and yaw; then yaw is 0.
+    """
+    turn = Rotation.from_matrix(base_from_camera[:3, :3] @ BASE_FROM_FORWARD_CAMERA.T)
+    roll, pitch, yaw = turn.as_euler("xyz", degrees=True, suppress_warnings=True).tolist()
+    # Adding zero turns -0.0 into 0.0.
+    return base_from_camera[:3, 3].copy(), np.array([roll, pitch, yaw]) + 0.0

@@ -1,0 +1,200 @@
+"""``transforms.json`` of nerfstudio and instant-ngp: images with cameras and poses.
+
+Poses are camera-to-world in OpenGL's convention (camera x right, y up, z backwards), pixel
+centres lie at .5 as in COLMAP. Values of a frame override those of the whole file.
+"""
+
+import math
+import os
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.artifacts.file_content import is_file
+from pipelines.artifacts.json_fields import JsonFields, read_json_object
+from pipelines.dataset.dataset import natural_key
+from pipelines.dataset.images import IMAGE_SUFFIXES, read_image_header
+from pipelines.dataset.importers.pose_matrix import rigid_pose
+from pipelines.dataset.importers.recording import (
+    IMAGE_FOLDER,
+    Recording,
+    SourceFrame,
+    first_duplicate,
+    name_below,
+)
+from pipelines.geometry.camera import Camera
+
+FILE_NAMES = ("transforms.json", "transforms_train.json")
+MAX_FILE_BYTES = 256 * 1024**2
+PIXEL_CENTRE_SHIFT = 0.5
+# x right, y down, z forward -> x right, y up, z backwards.
+OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+# Names of camera models that are pinholes with polynomial distortion.
+PERSPECTIVE_MODELS = (
+    "OPENCV",
+    "PERSPECTIVE",
+    "PINHOLE",
+    "SIMPLE_PINHOLE",
+    "SIMPLE_RADIAL",
+    "RADIAL",
+    "FULL_OPENCV",
+)
+FISHEYE_MODEL = "OPENCV_FISHEYE"
+
+
+def find_transforms(source: Path) -> Path | None:
+    """The JSON file that ``source`` is, or that lies in it; None where there is none."""
+    if source.is_file():
+        return source if source.suffix.lower() == ".json" else None
+    return next((source / name for name in FILE_NAMES if (source / name).is_file()), None)
+
+
+def read_nerfstudio(source: Path) -> Recording:
+    """Reads the images that a ``transforms.json`` names, in natural order of their names.
+
+    Args:
+        source: the file, or the folder that holds it.
+
+    Raises:
+        InputError: the file is malformed, names an image that is not there or lies outside its
+            folder, or has a matrix that is no pose or a camera that lfnav does not know.
+    """
+    path = find_transforms(source)
+    if path is None:
+        raise InputError(source, f"holds no {' or '.join(FILE_NAMES)}")
+    fields = read_json_object(path, MAX_FILE_BYTES)
+    rows = fields.get("frames", list)
+    if not rows:
+        raise InputError(path, "names no frames")
+    entries = [JsonFields(path, row, f"frames[{index}].") for index, row in enumerate(rows)]
+    relative = [_image_of(path, entry) for entry in entries]
+    order = sorted(range(len(entries)), key=lambda index: natural_key(relative[index]))
+    double = first_duplicate(relative)
+    if double is not None:
+        raise InputError(path, f"names {double} twice")
+    stripped = _common_folder(relative)
+    cameras: dict[Camera, int] = {}
+    frames, poses = [], []
+    for number, index in enumerate(order):
+        entry, file = entries[index], path.parent / relative[index]
+        camera = _camera_of(fields, entry, file)
+        frames.append(
+            SourceFrame(
+                file,
+                name_below(IMAGE_FOLDER, relative[index][stripped:], path),
+                float(number),
+                camera=cameras.setdefault(camera, len(cameras)),
+            )
+        )
+        matrix = entry.get("transform_matrix", list)
+        pose = rigid_pose(path, matrix, f"frames[{index}].transform_matrix")
+        poses.append(pose @ OPENGL_FROM_OPENCV)
+    notes = []
+    if any("depth_file_path" in entry.values for entry in entries):
+        notes.append("depth_file_path: depth of this source is not imported")
+    return Recording(tuple(frames), tuple(cameras), np.stack(poses), notes=tuple(notes))
+
+
+def _image_of(path: Path, entry: JsonFields) -> str:
+    """The existing image of a frame, relative to the JSON file's folder."""
+    text = entry.get("file_path", str)
+    if "\0" in text or PurePosixPath(text).is_absolute():
+        raise InputError(path, f"{entry.prefix}file_path {text[:80]!r} leads out of the folder")
+    relative = os.path.normpath(text)
+    if ".." in PurePosixPath(relative).parts or relative == ".":
+        raise InputError(path, f"{entry.prefix}file_path {text[:80]!r} leads out of the folder")
+    for suffix in ("", *IMAGE_SUFFIXES):
+        if is_file(path.parent / (relative + suffix)):
+            return relative + suffix
+    raise InputError(path.parent / relative, f"is not there, though {path.name} names it")
+
+
+def _common_folder(names: list[str]) -> int:
+    """Length of the folder that all names begin with, its slash included."""
+    common = os.path.commonpath([PurePosixPath(name).parent for name in names])
+    return len(common) + 1 if common not in ("", ".") else 0
+
+
+class _Numbers:
+    """Numbers of a frame, or else of the file."""
+
+    def __init__(self, fields: JsonFields, entry: JsonFields) -> None:
+        self.levels = (entry, fields)
+
+    def find(self, key: str) -> float | None:
+        for level in self.levels:
+            if level.values.get(key) is not None:
+                return level.number(key)
+        return None
+
+    def get(self, key: str, default: float) -> float:
+        value = self.find(key)
+        return default if value is None else value
+
+    def text(self, key: str) -> str | None:
+        for level in self.levels:
+            if level.values.get(key) is not None:
+                return level.get(key, str)
+        return None
+
+    def flag(self, key: str) -> bool:
+        values: list[Any] = [level.values.get(key) for level in self.levels]
+        return next((bool(value) for value in values if value is not None), False)
+
+
+def _camera_of(fields: JsonFields, entry: JsonFields, image: Path) -> Camera:
+    numbers = _Numbers(fields, entry)
+    header = read_image_header(image)
+    for key, actual in (("w", header.width), ("h", header.height)):
+        stated = numbers.find(key)
+        if stated is not None and stated != actual:
+            raise InputError(
+                image,
+                f"is {header.width}x{header.height} pixels, {fields.path.name} says "
+                f"{key} = {stated:g}",
+            )
+    focal_x = _focal(numbers, "fl_x", "camera_angle_x", header.width)
+    focal_y = _focal(numbers, "fl_y", "camera_angle_y", header.height)
+    focal_x, focal_y = focal_x or focal_y, focal_y or focal_x
+    if focal_x is None or focal_y is None:
+        raise InputError(fields.path, f"{entry.prefix}fl_x is missing, and camera_angle_x as well")
+    pinhole = (
+        focal_x,
+        focal_y,
+        numbers.get("cx", header.width / 2.0) - PIXEL_CENTRE_SHIFT,
+        numbers.get("cy", header.height / 2.0) - PIXEL_CENTRE_SHIFT,
+    )
+    model, distortion = _distortion(fields.path, numbers)
+    try:
+        return Camera(model, header.width, header.height, (*pinhole, *distortion))
+    except OptionError as error:
+        raise InputError(fields.path, f"{entry.prefix}{error}") from error
+
+
+def _focal(numbers: _Numbers, length: str, angle: str, size: int) -> float | None:
+    focal, opening = numbers.find(length), numbers.find(angle)
+    if focal is not None or opening is None:
+        return focal
+    if not 0.0 < opening < math.pi:
+        raise InputError(numbers.levels[1].path, f"{angle} = {opening:g} is no angle of view")
+    return size / 2.0 / math.tan(opening / 2.0)
+
+
+def _distortion(path: Path, numbers: _Numbers) -> tuple[str, tuple[float, ...]]:
+    """COLMAP's name of the camera model, and what its parameters have after fx fy cx cy."""
+    model = numbers.text("camera_model") or "OPENCV"
+    k1, k2, k3, k4, p1, p2 = (numbers.get(key, 0.0) for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
+    if model == FISHEYE_MODEL or numbers.flag("is_fisheye"):
+        return FISHEYE_MODEL, (k1, k2, k3, k4)
+    if model not in PERSPECTIVE_MODELS:
+        known = ", ".join((*PERSPECTIVE_MODELS, FISHEYE_MODEL))
+        raise InputError(path, f"camera_model {model[:40]!r} is not supported", f"known: {known}")
+    if k4 != 0.0:
+        raise InputError(path, f"k4 = {k4:g} of a camera that is no fisheye is not supported")
+    if k3 != 0.0:
+        return "FULL_OPENCV", (k1, k2, p1, p2, k3, 0.0, 0.0, 0.0)
+    if (k1, k2, p1, p2) != (0.0, 0.0, 0.0, 0.0):
+        return "OPENCV", (k1, k2, p1, p2)
+    return "PINHOLE", ()
