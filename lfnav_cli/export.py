@@ -1,4 +1,4 @@
-"""``lfnav export``: a run's trajectory for other programs."""
+"""``lfnav export``: a run's trajectory, or a scene model, for other programs."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,17 +12,22 @@ if TYPE_CHECKING:
 
 
 @click.command("export")
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("source", metavar="FILE", type=click.Path(path_type=Path))
 @click.option(
     "--format",
     "format_name",
-    type=click.Choice(["tum", "kitti", "euroc", "csv", "json"]),
+    type=click.Choice(["tum", "kitti", "euroc", "csv", "json", "colmap"]),
     required=True,
     help="tum, kitti, euroc: poses of the robot's base in the scene's world, z = 0. "
-    "csv, json: also status, confidence and, in json, modes and covariance.",
+    "csv, json: also status, confidence and, in json, modes and covariance. "
+    "colmap: of a scene model, its photos and their poses.",
 )
 @click.option(
-    "-o", "--output", required=True, type=click.Path(path_type=Path), help="File to write."
+    "-o",
+    "--output",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="File to write; for colmap a folder.",
 )
 @click.option(
     "--estimate",
@@ -33,7 +38,7 @@ if TYPE_CHECKING:
 @json_option
 @common_options
 def command(
-    run: Path,
+    source: Path,
     format_name: str,
     output: Path,
     estimate: str | None,
@@ -41,13 +46,24 @@ def command(
     as_json: bool,
     progress: "Progress",
 ) -> None:
-    """Write the estimated trajectory of the run file RUN in another program's format.
+    """Write what FILE holds in another program's format.
+
+    FILE is a run, of which the estimated trajectory is written, or with --format colmap a scene
+    model, of which a COLMAP project is written: images/ and sparse/.
 
     \b
     Example:
       lfnav export run.h5 --format tum -o run.tum
       evo_ape tum sample_data/elevators/test/groundtruth.txt run.tum
+      lfnav export scene.h5 --format colmap -o project
     """
+    if format_name == "colmap":
+        from pipelines.lightfield.colmap_export import export_scene_to_colmap
+
+        if estimate is not None:
+            raise click.UsageError("--estimate is for runs, not for --format colmap")
+        print_summary(export_scene_to_colmap(source, output, overwrite), as_json)
+        return
     from pipelines.localize.trajectory_export import export_run_file
 
-    print_summary(export_run_file(run, output, format_name, estimate, overwrite), as_json)
+    print_summary(export_run_file(source, output, format_name, estimate, overwrite), as_json)

@@ -4,6 +4,8 @@ Pixel centres lie at integer coordinates, as in OpenCV: the top-left pixel's cen
 an image covers [-0.5, width - 0.5]. Camera models and the order of their parameters are COLMAP's.
 """
 
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -123,6 +125,12 @@ class Camera:
         """Whether an image has to be resampled before it is a pinhole image."""
         # A fisheye with zero coefficients is still equidistant, not a pinhole.
         return self.model == "OPENCV_FISHEYE" or bool(np.any(self.distortion != 0.0))
+
+
+def cameras_text(cameras: Sequence[Camera]) -> str:
+    """Models and sizes for people, equal ones counted: ``"81 x PINHOLE 384x384"``."""
+    counts = Counter(f"{camera.model} {camera.width}x{camera.height}" for camera in cameras)
+    return ", ".join(text if count == 1 else f"{count} x {text}" for text, count in counts.items())
 
 
 class Undistorter:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from pipelines.geometry.camera import cameras_text
 from pipelines.geometry.pose import camera_heading_of
 from pipelines.lightfield.bundle import load_scene
 from pipelines.lightfield.scene import Scene
@@ -25,7 +26,7 @@ class SceneSummary:
         return [
             ("scene", str(self.path)),
             ("views", f"{facts['views']} ({facts['image_megabytes']:.1f} MB as recorded)"),
-            ("cameras", ", ".join(facts["cameras"])),
+            ("cameras", cameras_text(self.scene.cameras)),
             ("plane", "{:.4f} x + {:.4f} y + {:.4f} z + {:.4f} = 0".format(*plane["coefficients"])),
             ("plane from", _origin(plane)),
             ("area", "x {:.2f} to {:.2f} m, y {:.2f} to {:.2f} m".format(*bounds)),

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from pipelines.geometry.camera import cameras_text
 from pipelines.reconstruct.reconstruction import Reconstruction, load_reconstruction
 
 SHOWN_DROPPED = 5
@@ -36,7 +37,7 @@ class ReconstructionSummary:
             ("images with a pose", f"{len(content.image_names)} of {total}"),
             ("scale from", content.scale_source),
             ("extent of the cameras", _extent_text(self.extent(), self.unit())),
-            ("camera", ", ".join(f"{c.model} {c.width}x{c.height}" for c in content.cameras)),
+            ("camera", cameras_text(content.cameras)),
             ("points", str(len(content.points))),
         ]
         for key, (label, digits) in SHOWN_STATISTICS.items():
