@@ -25,7 +25,7 @@ from pipelines.artifacts.safe_hdf5 import (
 )
 from pipelines.dataset.images import image_header
 from pipelines.geometry.camera import Camera
-from pipelines.geometry.plane import plane_from_coefficients
+from pipelines.geometry.plane import Plane, plane_from_coefficients
 from pipelines.lightfield.scene import PlaneEstimate, Scene
 
 FORMAT = "lfnav scene"
@@ -162,7 +162,7 @@ def _scene_of(file: SafeFile, description: Any) -> Scene:
         camera_index=file.read_array("camera_index", dtype_kind="i", shape=(count,)),
         world_from_camera=file.read_array("world_from_camera", dtype_kind="f", shape=(count, 4, 4)),
         surface=PlaneEstimate(
-            plane_from_coefficients(surface["plane"]),
+            _stored_plane(surface["plane"]),
             _or_infinite(surface["offset_sigma"]),
             _or_infinite(surface["angle_sigma"]),
             str(surface["method"]),
@@ -173,6 +173,15 @@ def _scene_of(file: SafeFile, description: Any) -> Scene:
         scale_source=str(description["scale_source"]),
         identifier=str(description["identifier"]),
     )
+
+
+def _stored_plane(coefficients: Any) -> Plane:
+    """The plane exactly as it was stored: normalising again could change its last bit."""
+    normalised = plane_from_coefficients(coefficients)
+    plane = Plane(np.array([float(c) for c in coefficients[:3]]), float(coefficients[3]))
+    if not np.allclose(plane.coefficients(), normalised.coefficients(), rtol=1e-9, atol=1e-12):
+        raise OptionError("the plane's normal is not of unit length")
+    return plane
 
 
 def _check(path: Path, scene: Scene) -> None:
