@@ -1,0 +1,209 @@
+"""Depth maps from the photos: which surface each pixel of a view shows.
+
+A plane sweep (Collins 1996): the neighbouring photos are warped as if the scene were a plane at one
+of many inverse depths, and compared with the view by a census of small windows, which does not mind
+exposure. At each pixel the best of the neighbours count, since the others may not see the point.
+Semi-global matching (Hirschmueller 2008) then finds depths that are smooth except across edges of
+the image. When all views are done, ``fuse_depth`` compares each with its neighbours.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from pipelines.artifacts.array_types import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    ImageArray,
+    IntArray,
+)
+from pipelines.artifacts.errors import OptionError, StageError
+from pipelines.geometry.camera import Intrinsics
+from pipelines.geometry.pose import inverse
+from pipelines.lightfield import depth_kernels
+from pipelines.lightfield.depth_kernels import RADIUS
+from pipelines.lightfield.depth_neighbours import checked_range
+from pipelines.lightfield.views import shrink
+
+# Rows and columns of the pixels in a 5 x 5 window that are compared with its centre.
+WINDOW = np.array(
+    [
+        (RADIUS + row, RADIUS + column)
+        for row in range(-2, 3)
+        for column in range(-2, 3)
+        if (row, column) != (0, 0)
+    ]
+)
+MEDIAN_SIZE = 5
+
+
+@dataclass(frozen=True)
+class DepthSettings:
+    """How depth maps are computed.
+
+    Attributes:
+        largest_side: photos are shrunk to so many pixels before.
+        planes: inverse depths that are tried.
+        neighbours: photos that a view is compared with, at most.
+        best: of these, how many count at each pixel: those that agree best.
+        saturation: grey levels; larger differences all cost the same.
+        step_penalty, jump_penalty: cost of neighbouring pixels that lie one plane apart, or more.
+        edge_contrast: grey levels between neighbouring pixels at which a jump costs half.
+        agreement: share of the inverse depth by which depths of the same point may differ.
+        supporters: neighbours that must agree before a depth is called confident.
+
+    Raises:
+        OptionError: a value is out of its range.
+    """
+
+    largest_side: int = 480
+    planes: int = 96
+    neighbours: int = 8
+    best: int = 3
+    saturation: float = 20.0
+    step_penalty: float = 8.0
+    jump_penalty: float = 90.0
+    edge_contrast: float = 10.0
+    agreement: float = 0.02
+    supporters: int = 2
+
+    def __post_init__(self) -> None:
+        if self.largest_side < 16:
+            raise OptionError(f"depth of {self.largest_side} pixels is too small; at least 16")
+        if not 8 <= self.planes <= 1024:
+            raise OptionError(f"{self.planes} depth planes are not between 8 and 1024")
+        if self.neighbours < 1 or self.best < 1 or self.supporters < 1:
+            raise OptionError("depth needs at least one neighbour")
+        if not 0.0 < self.agreement < 1.0:
+            raise OptionError(f"agreement {self.agreement:g} is not between 0 and 1")
+
+
+@dataclass(frozen=True)
+class DepthMap:
+    """Depth at each pixel of one view.
+
+    Attributes:
+        inverse_depth: ``(H, W)`` float32, 1 / metres along the camera's z axis;
+            positive everywhere.
+        confident: ``(H, W)``: where the photos single out this depth, and after ``fuse_depth``
+            where neighbouring views found the same.
+        intrinsics: of the pinhole image with these pixels.
+    """
+
+    inverse_depth: Float32Array
+    confident: BoolArray
+    intrinsics: Intrinsics
+
+
+def estimate_depth(
+    images: Sequence[ImageArray],
+    intrinsics: Sequence[Intrinsics],
+    world_from_camera: FloatArray,
+    view: int,
+    neighbours: IntArray,
+    limits: tuple[float, float],
+    settings: DepthSettings,
+) -> DepthMap:
+    """The depth map of one view, from it and its neighbours alone.
+
+    Args:
+        images: the N pinhole photos, ``(h, w, 3)`` RGB.
+        intrinsics: of each.
+        world_from_camera: ``(N, 4, 4)``.
+        view: index of the view.
+        neighbours: indices of the views to compare it with.
+        limits: nearest and farthest depth, metres.
+        settings: how.
+
+    Raises:
+        StageError: fewer than two photos, or no neighbour.
+        OptionError: the limits are no range.
+    """
+    near, far = checked_range(*limits)
+    if len(images) < 2 or len(neighbours) == 0:
+        raise StageError(f"view {view} has no neighbouring photo to find depth with")
+    reference, pinhole = _grey(images[view], intrinsics[view], settings)
+    height, width = reference.shape
+    levels = np.linspace(1.0 / far, 1.0 / near, settings.planes)
+    volume = np.empty((settings.planes, height, width), np.uint8)
+    _sweep(
+        reference,
+        [_grey(images[index], intrinsics[index], settings) for index in neighbours],
+        [
+            _mapping(pinhole, world_from_camera[view], world_from_camera[index])
+            for index in neighbours
+        ],
+        levels,
+        volume,
+        settings,
+    )
+    index = _aggregate(volume, reference, settings)
+    inverse_depth = np.interp(index, np.arange(settings.planes), levels).astype(np.float32)
+    return DepthMap(_median(inverse_depth), np.ones((height, width), np.bool_), pinhole)
+
+
+def _grey(
+    image: ImageArray, intrinsics: Intrinsics, settings: DepthSettings
+) -> tuple[Float32Array, Intrinsics]:
+    """Brightness ``(H, W)`` of a photo at working size, and its intrinsics."""
+    small, pinhole = shrink(image, intrinsics, settings.largest_side)
+    return cv2.cvtColor(small, cv2.COLOR_RGB2GRAY).astype(np.float32), pinhole
+
+
+def _mapping(
+    pinhole: Intrinsics, world_from_reference: FloatArray, world_from_other: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """A and b: pixel p with inverse depth q lies at A p + q b in the other camera's coordinates."""
+    other_from_reference = inverse(world_from_other) @ world_from_reference
+    rays = other_from_reference[:3, :3] @ np.linalg.inv(pinhole.matrix())
+    return rays, other_from_reference[:3, 3]
+
+
+def _sweep(
+    reference: Float32Array,
+    others: Sequence[tuple[Float32Array, Intrinsics]],
+    mappings: Sequence[tuple[FloatArray, FloatArray]],
+    levels: FloatArray,
+    volume: ImageArray,
+    settings: DepthSettings,
+) -> None:
+    """Fills the volume ``(D, H, W)`` with the costs of each pixel on each plane."""
+    padded = np.pad(reference, RADIUS, mode="edge")
+    warped, seen = np.zeros_like(padded), np.empty_like(reference)
+    best = np.empty((min(settings.best, len(others)), *reference.shape), np.float32)
+    flat = np.zeros_like(reference)
+    for plane, level in enumerate(levels):
+        best[:] = depth_kernels.UNSEEN_COST
+        for (grey, pinhole), (rays, shift) in zip(others, mappings, strict=True):
+            matrix = pinhole.matrix()
+            depth_kernels.warp(
+                grey, matrix @ rays, matrix @ shift, flat, float(level), warped, seen
+            )
+            depth_kernels.add_view_cost(padded, warped, seen, WINDOW, settings.saturation, best)
+        depth_kernels.write_layer(best, volume[plane])
+    depth_kernels.fill_unseen(volume)
+
+
+def _aggregate(
+    volume: ImageArray, reference: Float32Array, settings: DepthSettings
+) -> Float32Array:
+    """``(H, W)`` fractional number of the best plane."""
+    index = np.empty_like(reference)
+    penalties = np.array(
+        [
+            settings.step_penalty,
+            settings.jump_penalty,
+            settings.edge_contrast,
+            settings.step_penalty,
+        ]
+    )
+    total = np.empty((*reference.shape, len(volume)), np.float32)
+    depth_kernels.aggregate(volume, reference, penalties, index, total)
+    return index
+
+
+def _median(values: Float32Array) -> Float32Array:
+    return np.asarray(cv2.medianBlur(values, MEDIAN_SIZE), dtype=np.float32)

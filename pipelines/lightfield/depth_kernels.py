@@ -1,0 +1,322 @@
+"""The compiled parts of ``depth``: warps, census costs, semi-global aggregation.
+
+Images are float32 grey, ``(H, W)``; a *padded* image carries ``RADIUS`` more pixels on each side
+(its border repeated), so that a window never leaves the array. Everything here is a function of its
+arguments and releases the interpreter lock.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipelines.artifacts.array_types import Float32Array, FloatArray, ImageArray
+from pipelines.lightfield.compiled import compiled
+
+RADIUS = 3
+# Costs run from 0 (alike) to about this where the windows have nothing in common.
+LARGEST_COST = np.float32(240.0)
+# What a view costs that does not see the point.
+UNSEEN_COST = np.float32(255.0)
+_ZERO, _HALF, _ONE, _TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
+_FAR = np.float32(1e9)
+# Homogeneous depth below which a point counts as behind the camera.
+_NEAR = np.float32(1e-6)
+
+
+@compiled
+def _repeat_border(padded: Float32Array) -> None:
+    """Fills the border of a padded image with its nearest pixels."""
+    height, width = padded.shape
+    for y in range(RADIUS, height - RADIUS):
+        for x in range(RADIUS):
+            padded[y, x] = padded[y, RADIUS]
+            padded[y, width - 1 - x] = padded[y, width - 1 - RADIUS]
+    for y in range(RADIUS):
+        for x in range(width):
+            padded[y, x] = padded[RADIUS, x]
+            padded[height - 1 - y, x] = padded[height - 1 - RADIUS, x]
+
+
+@compiled
+def warp(
+    image: Float32Array,
+    rays: FloatArray,
+    shift: FloatArray,
+    inverse_depth: Float32Array,
+    offset: float,
+    padded: Float32Array,
+    seen: Float32Array,
+) -> None:
+    """Writes a neighbour's image as the reference view would see it.
+
+    Args:
+        image: ``(h, w)`` the neighbour's.
+        rays: ``(3, 3)`` A and ``shift`` ``(3,)`` b: a reference pixel p with inverse depth q lies
+            at the neighbour's homogeneous pixel A p + q b.
+        shift: see ``rays``.
+        inverse_depth: ``(H, W)``.
+        offset: added to every inverse depth.
+        padded: ``(H + 2 RADIUS, W + 2 RADIUS)`` result.
+        seen: ``(H, W)`` result: 1 where the neighbour sees the point, else 0.
+    """
+    height, width = inverse_depth.shape
+    image_height, image_width = image.shape
+    texels = image.reshape(-1)
+    last_u, last_v = np.float32(image_width - 1), np.float32(image_height - 1)
+    bx, by, bz = np.float32(shift[0]), np.float32(shift[1]), np.float32(shift[2])
+    ax, ay, az = np.float32(rays[0, 0]), np.float32(rays[1, 0]), np.float32(rays[2, 0])
+    more = np.float32(offset)
+    us, vs = np.empty(width, np.float32), np.empty(width, np.float32)
+    for y in range(height):
+        rx = np.float32(rays[0, 1] * y + rays[0, 2])
+        ry = np.float32(rays[1, 1] * y + rays[1, 2])
+        rz = np.float32(rays[2, 1] * y + rays[2, 2])
+        inverse_row, seen_row = inverse_depth[y], seen[y]
+        # First where to look, then looking: the first loop is done several pixels at a time.
+        for x in range(width):
+            q = inverse_row[x] + more
+            column = np.float32(x)
+            depth = az * column + rz + q * bz
+            scale = _ONE / max(depth, _NEAR)
+            u = (ax * column + rx + q * bx) * scale
+            v = (ay * column + ry + q * by) * scale
+            clear_u, clear_v = min(max(u, _ZERO), last_u), min(max(v, _ZERO), last_v)
+            # A point behind the neighbour is far outside, since the depth was cut off above.
+            away = max(abs(u - clear_u), abs(v - clear_v))
+            seen_row[x] = _ONE if (away <= _HALF and depth > _NEAR) else _ZERO
+            us[x], vs[x] = clear_u, clear_v
+        row = padded[y + RADIUS]
+        for x in range(width):
+            column_left = min(np.int32(us[x]), np.int32(image_width - 2))
+            row_above = min(np.int32(vs[x]), np.int32(image_height - 2))
+            a, b = us[x] - np.float32(column_left), vs[x] - np.float32(row_above)
+            first = np.uint64(row_above) * np.uint64(image_width) + np.uint64(column_left)
+            second = first + np.uint64(image_width)
+            one = np.uint64(1)
+            top = texels[first] + a * (texels[first + one] - texels[first])
+            bottom = texels[second] + a * (texels[second + one] - texels[second])
+            row[x + RADIUS] = top + b * (bottom - top)
+    _repeat_border(padded)
+
+
+@compiled
+def add_view_cost(
+    reference: Float32Array,
+    warped: Float32Array,
+    seen: Float32Array,
+    offsets: NDArray[np.int64],
+    dead_zone: float,
+    best: Float32Array,
+) -> None:
+    """Compares two images by their census and keeps the smallest costs of several views.
+
+    Args:
+        reference: padded image.
+        warped: padded image of a neighbour as the reference would see it.
+        seen: ``(H, W)`` 1 where the neighbour sees the point.
+        offsets: ``(K, 2)`` rows and columns, not negative, of the window's pixels in it.
+        dead_zone: grey levels by which a pixel must differ from the centre to count as different.
+        best: ``(k, H, W)`` the k smallest costs so far, ascending; updated.
+    """
+    height, width = seen.shape
+    count = len(offsets)
+    cost = np.empty(width, np.float32)
+    limit = np.float32(dead_zone)
+    weight = np.float32(LARGEST_COST / np.float32(count))
+    for y in range(height):
+        cost[:] = _ZERO
+        centre, other_centre = reference[y + RADIUS], warped[y + RADIUS]
+        for k in range(count):
+            row, other_row = reference[y + offsets[k, 0]], warped[y + offsets[k, 0]]
+            column = offsets[k, 1]
+            left, other_left = row[column : column + width], other_row[column : column + width]
+            for x in range(width):
+                difference = (left[x] - centre[x + RADIUS]) - (
+                    other_left[x] - other_centre[x + RADIUS]
+                )
+                cost[x] += min(abs(difference), limit)
+        for x in range(width):
+            cost[x] = UNSEEN_COST if seen[y, x] == _ZERO else cost[x] * weight / limit
+        for k in range(len(best)):
+            kept = best[k, y]
+            for x in range(width):
+                larger = max(kept[x], cost[x])
+                kept[x] = min(kept[x], cost[x])
+                cost[x] = larger
+
+
+@compiled
+def write_layer(best: Float32Array, layer: ImageArray) -> None:
+    """Writes the mean of the best views' costs ``(k, H, W)`` as bytes ``(H, W)``."""
+    count, height, width = best.shape
+    total, seeing = np.empty(width, np.float32), np.empty(width, np.float32)
+    for y in range(height):
+        total[:] = _ZERO
+        seeing[:] = _ZERO
+        for k in range(count):
+            costs = best[k, y]
+            for x in range(width):
+                is_seen = costs[x] < UNSEEN_COST
+                total[x] += costs[x] if is_seen else _ZERO
+                seeing[x] += _ONE if is_seen else _ZERO
+        row = layer[y]
+        for x in range(width):
+            mean = total[x] / max(seeing[x], _ONE) + _HALF
+            row[x] = np.uint8(np.int32(mean if seeing[x] > _ZERO else UNSEEN_COST))
+
+
+@compiled
+def fill_unseen(volume: ImageArray) -> None:
+    """Gives planes on which no view sees a pixel that pixel's mean cost on the others."""
+    planes, height, width = volume.shape
+    total, seeing = np.empty(width, np.int32), np.empty(width, np.int32)
+    for y in range(height):
+        total[:] = 0
+        seeing[:] = 0
+        for d in range(planes):
+            row = volume[d, y]
+            for x in range(width):
+                is_seen = row[x] < 255
+                total[x] += np.int32(row[x]) if is_seen else np.int32(0)
+                seeing[x] += np.int32(is_seen)
+        for d in range(planes):
+            row = volume[d, y]
+            for x in range(width):
+                if row[x] == 255:
+                    row[x] = np.uint8(total[x] // max(seeing[x], np.int32(1)))
+
+
+@compiled
+def _step(
+    cost: Float32Array,
+    before: Float32Array,
+    smallest: np.float32,
+    small: np.float32,
+    large: np.float32,
+    after: Float32Array,
+) -> np.float32:
+    """One step along a path; arrays ``(D + 2,)`` with a wall at both ends; returns the minimum."""
+    jump = smallest + large
+    least = _FAR
+    for d in range(1, len(cost) - 1):
+        way = min(before[d], jump, min(before[d - 1], before[d + 1]) + small)
+        value = cost[d] + way - smallest
+        after[d] = value
+        least = min(least, value)
+    return np.float32(least)
+
+
+@compiled
+def _load_row(volume: ImageArray, y: int, costs: Float32Array) -> None:
+    """Row y of the volume ``(D, H, W)`` as ``(W, D + 2)``."""
+    for d in range(volume.shape[0]):
+        layer = volume[d, y]
+        for x in range(len(layer)):
+            costs[x, d + 1] = np.float32(layer[x])
+
+
+@compiled
+def _path_row(
+    costs: Float32Array,
+    grey: Float32Array,
+    y: int,
+    back: int,
+    penalties: FloatArray,
+    above: Float32Array,
+    above_least: Float32Array,
+    current: Float32Array,
+    current_least: Float32Array,
+) -> None:
+    """Four paths into each pixel of a row: from its side, and from three pixels of the row before.
+
+    ``back`` is +1 for the pass from the top left, -1 for the one from the bottom right.
+    """
+    height, width = grey.shape
+    small = np.float32(penalties[0])
+    large, contrast = np.float32(penalties[1]), np.float32(penalties[2])
+    floor = np.float32(penalties[0] + penalties[3])
+    for i in range(width):
+        x = i if back > 0 else width - 1 - i
+        for path in range(4):
+            from_x = x - back if path == 0 else x + path - 2
+            from_y = y if path == 0 else y - back
+            if from_x < 0 or from_x >= width or from_y < 0 or from_y >= height:
+                current[path, x, 1:-1] = costs[x, 1:-1]
+                current_least[path, x] = np.min(costs[x, 1:-1])
+                continue
+            step = abs(grey[y, x] - grey[from_y, from_x])
+            jump = max(large / (_ONE + step / contrast), floor)
+            if path == 0:
+                before, least = current[path, from_x], current_least[path, from_x]
+            else:
+                before, least = above[path, from_x], above_least[path, from_x]
+            current_least[path, x] = _step(costs[x], before, least, small, jump, current[path, x])
+
+
+@compiled
+def aggregate(
+    volume: ImageArray,
+    grey: Float32Array,
+    penalties: FloatArray,
+    index: Float32Array,
+    total: Float32Array,
+) -> None:
+    """Semi-global matching along eight paths, winner takes all, and a parabola through it.
+
+    Args:
+        volume: ``(D, H, W)`` costs.
+        grey: ``(H, W)`` reference image: jumps are cheaper across its edges.
+        penalties: ``(4,)``: for a step of one plane; for a jump; grey levels at which a jump costs
+            half; by how much a jump costs more than a step at least.
+        index: ``(H, W)`` result, the plane's number with its fraction.
+        total: ``(H, W, D)`` working memory.
+    """
+    planes, height, width = volume.shape
+    costs = np.full((width, planes + 2), _FAR, np.float32)
+    rows = np.full((2, 4, width, planes + 2), _FAR, np.float32)
+    least = np.zeros((2, 4, width), np.float32)
+    for y in range(height):
+        _load_row(volume, y, costs)
+        above, current = y % 2, 1 - y % 2
+        _path_row(
+            costs, grey, y, 1, penalties, rows[above], least[above], rows[current], least[current]
+        )
+        for x in range(width):
+            for d in range(planes):
+                total[y, x, d] = (
+                    rows[current, 0, x, d + 1]
+                    + rows[current, 1, x, d + 1]
+                    + rows[current, 2, x, d + 1]
+                    + rows[current, 3, x, d + 1]
+                )
+    for i in range(height):
+        y = height - 1 - i
+        _load_row(volume, y, costs)
+        above, current = i % 2, 1 - i % 2
+        _path_row(
+            costs, grey, y, -1, penalties, rows[above], least[above], rows[current], least[current]
+        )
+        for x in range(width):
+            sums = total[y, x]
+            for d in range(planes):
+                sums[d] += (
+                    rows[current, 0, x, d + 1]
+                    + rows[current, 1, x, d + 1]
+                    + rows[current, 2, x, d + 1]
+                    + rows[current, 3, x, d + 1]
+                )
+            index[y, x] = _lowest(sums)
+
+
+@compiled
+def _lowest(values: Float32Array) -> np.float32:
+    """Index of the smallest value, with the fraction of a parabola through its neighbours."""
+    best = 0
+    for d in range(1, len(values)):
+        if values[d] < values[best]:
+            best = d
+    if best == 0 or best == len(values) - 1:
+        return np.float32(best)
+    bend = values[best - 1] - _TWO * values[best] + values[best + 1]
+    if bend <= _ZERO:
+        return np.float32(best)
+    return np.float32(best + _HALF * (values[best - 1] - values[best + 1]) / bend)
