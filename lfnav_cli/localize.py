@@ -63,9 +63,8 @@ def _parse_init(
 @click.option(
     "--start-particles",
     type=int,
-    default=20_000,
-    show_default=True,
-    help="Particles at the start of a search (coarse_to_fine).",
+    help="Particles at the start of a search (coarse_to_fine). Default: 20000, or --particles "
+    "where that is more.",
 )
 @click.option(
     "--strategy",
@@ -112,7 +111,7 @@ def command(
     area: tuple[float, float, float, float] | None,
     init: tuple[float, float, float] | None,
     particles: int,
-    start_particles: int,
+    start_particles: int | None,
     strategy: str,
     likelihood: str,
     resampling: str | None,
@@ -138,10 +137,12 @@ def command(
     from pipelines.localize.stage import localize
 
     is_paper = strategy == "condensation"
+    if start_particles is None:
+        start_particles = max(LocalizerSettings.start_particles, particles)
     settings: LocalizerSettings = LocalizerSettings(
         strategy=strategy,
         particles=particles,
-        start_particles=max(start_particles, particles),
+        start_particles=start_particles,
         start=init,
         area=area,
         likelihood=likelihood_named(likelihood),

@@ -67,6 +67,8 @@ def read_tum(path: Path) -> Trajectory:
         if path.stat().st_size > MAX_TRAJECTORY_BYTES:
             raise InputError(path, f"larger than {MAX_TRAJECTORY_BYTES} bytes")
         lines = path.read_text(encoding="utf-8").splitlines()
+    except FileNotFoundError as error:
+        raise InputError(path, "does not exist") from error
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(path, f"cannot be read as text ({error})") from error
     rows: list[list[float]] = []

@@ -108,7 +108,9 @@ def localize_dataset(
     camera, mount = _camera_and_mount(dataset)
     if dataset.odometry is None:
         raise InputError(
-            odometry_source, "is missing: a planar robot is localized with odometry", "--odometry"
+            odometry_source,
+            "is missing: a planar robot is localized with odometry",
+            "give the file with --odometry",
         )
     body_poses = poses_at_images(dataset, dataset.odometry, odometry_source)
     localizer = Localizer(scene, camera, mount, settings, np.random.default_rng(seed))
