@@ -3,6 +3,7 @@
 import contextlib
 import functools
 import hashlib
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -22,13 +23,13 @@ def compiled(function: Function) -> Function:
     dispatcher: Any = njit(nogil=True, error_model="numpy", fastmath={"contract"})(function)
     # Where no folder can be written to, functions are compiled anew in every process.
     with contextlib.suppress(RuntimeError):
-        dispatcher._cache = _PackageCache(function)
+        dispatcher._cache = _DependencyCache(function)
     # To callers a compiled function is the function that it was made from.
     return cast("Function", dispatcher)
 
 
-class _PackageCache(FunctionCache):
-    """Machine code on disk that is used only as long as no module of this package has changed.
+class _DependencyCache(FunctionCache):
+    """Machine code on disk that is used only while no module that went into it has changed.
 
     Numba's own cache looks at the module of the function alone. A kernel contains the functions
     that it calls: after a change to one of their modules it would go on running their old code.
@@ -39,14 +40,23 @@ class _PackageCache(FunctionCache):
         self._cache_file = IndexDataCacheFile(  # type: ignore[no-untyped-call]
             cache_path=self._cache_path,
             filename_base=self._impl.filename_base,
-            source_stamp=package_stamp(),
+            source_stamp=source_stamp(Path(function.__code__.co_filename)),
         )
 
 
 @functools.cache
-def package_stamp() -> str:
-    """Hash of the source code of all modules of this package."""
+def source_stamp(path: Path) -> str:
+    """Hash of a module's source code and of that of all modules of its package that it names."""
+    package = f"pipelines.{path.parent.name}."
+    found, pending = {path}, [path]
+    while pending:
+        source = pending.pop().read_text(encoding="utf-8")
+        for name in re.findall(re.escape(package) + r"(\w+)", source):
+            module = path.with_name(f"{name}.py")
+            if module not in found and module.is_file():
+                found.add(module)
+                pending.append(module)
     digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    for module in sorted(found):
+        digest.update(module.name.encode() + b"\0" + module.read_bytes())
     return digest.hexdigest()
