@@ -10,7 +10,7 @@ import numpy as np
 
 from pipelines.artifacts.array_types import BoolArray, FloatArray, ImageArray
 from pipelines.artifacts.atomic import atomic_file, atomic_folder, check_output, write_bytes
-from pipelines.artifacts.errors import InputError, OptionError, StageError
+from pipelines.artifacts.errors import OptionError, StageError
 from pipelines.artifacts.progress import Progress
 from pipelines.dataset.images import encode_png
 from pipelines.geometry.camera import Intrinsics, Undistorter
@@ -197,11 +197,9 @@ class _VideoWriter:
     """An MP4 file that is written frame by frame."""
 
     def __init__(self, path: Path, intrinsics: Intrinsics, frames_per_second: float) -> None:
-        # The suffix decides on the container; a temporary name may have another one.
         self._path = path
-        self._video = path.with_name(path.name + VIDEO_SUFFIX)
         self._writer = cv2.VideoWriter(
-            str(self._video),
+            str(path),
             cv2.VideoWriter.fourcc(*"mp4v"),
             frames_per_second,
             (intrinsics.width, intrinsics.height),
@@ -217,10 +215,8 @@ class _VideoWriter:
         """Finishes the file.
 
         Raises:
-            InputError: nothing was written.
+            StageError: nothing was written.
         """
         self._writer.release()
-        try:
-            self._video.replace(self._path)
-        except OSError as error:
-            raise InputError(self._path, f"cannot be written ({error})") from error
+        if self._path.stat().st_size == 0:
+            raise StageError("the video could not be written; is the disk full?")
