@@ -98,6 +98,10 @@ def _file_names(path: Path, scene: Scene) -> tuple[str, ...]:
         names.append(str(relative))
     if len(set(names)) != len(names):
         raise InputError(path, "two views have the same name")
+    folders = {str(parent) for name in names for parent in PurePosixPath(name).parents}
+    clash = sorted(folders & set(names))
+    if clash:
+        raise InputError(path, f"a view is called {clash[0][:60]}, which is also a folder")
     return tuple(names)
 
 

@@ -61,7 +61,7 @@ def read_colmap(source: Path, settings: ImportSettings) -> ColmapSource:
         raise InputError(folder, f"holds the image {double!r} twice")
     names = [name_below(IMAGE_FOLDER, image.name, folder) for image in images]
     photos = _photo_folder(source, folder, settings.images)
-    files = [photos / name.removeprefix(f"{IMAGE_FOLDER}/") for name in names]
+    files = [photos / image.name for image in images]
     missing = [file for file in files if not is_file(file)]
     if missing:
         raise InputError(

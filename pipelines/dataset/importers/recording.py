@@ -63,7 +63,7 @@ class Recording:
 
 
 def name_below(folder: str, name: str, source: Path) -> str:
-    """The name under which an image of the source is kept, ``folder/name`` in POSIX form.
+    """The name under which an image of the source is kept: POSIX, in ``folder``.
 
     Args:
         folder: ``rgb`` or ``depth``.
@@ -79,7 +79,8 @@ def name_below(folder: str, name: str, source: Path) -> str:
     text = str(relative)
     if not text.isprintable() or text != text.strip():
         raise InputError(source, f"{name[:80]!r} is no file name that a list could hold")
-    return f"{folder}/{text}"
+    # What lies in a folder of that name already needs no second one.
+    return text if text.startswith(f"{folder}/") else f"{folder}/{text}"
 
 
 def first_duplicate(names: Sequence[str]) -> str | None:
