@@ -229,8 +229,8 @@ def test_table_json_and_quiet(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out.splitlines() == [
         "what         value",
         "-----------  -----",
-        "error          1.5",
-        "a long name      2",
+        "error        1.5",
+        "a long name  2",
         "note",
     ]
     assert common.run_command(printing(), ["--json"]) == 0
