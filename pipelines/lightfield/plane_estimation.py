@@ -7,16 +7,21 @@ the one under which the pairs agree best in local zero-mean normalised cross-cor
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from scipy.optimize import minimize
 
-from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray
+from pipelines.artifacts.array_types import FloatArray
 from pipelines.artifacts.errors import StageError
 from pipelines.artifacts.progress import Progress
-from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane, angle_between, plane_from_coefficients
-from pipelines.geometry.pose import inverse
+from pipelines.lightfield.photo_consistency import (
+    PairwiseViews,
+    choose_pairs,
+    grey_views,
+    pair_correlation,
+    plane_correlation,
+    spread_evenly,
+)
 from pipelines.lightfield.scene import PlaneEstimate
 from pipelines.lightfield.views import Views
 
@@ -28,13 +33,13 @@ RANSAC_ROUNDS = 2000
 # Inliers lie nearer to the plane than this share of the median distance from the cameras.
 INLIER_SHARE_OF_DISTANCE = 0.02
 COARSE_WIDTH, MIDDLE_WIDTH, FINE_WIDTH = 80, 160, 320
-WINDOW = 7
-# Windows with less contrast (grey levels, standard deviation) say nothing about the plane.
-SMALLEST_CONTRAST = 3.0
 COARSE_PAIRS, FINE_PAIRS = 14, 30
 # Below this correlation the photos do not agree on any plane.
 SMALLEST_CORRELATION = 0.25
 JACKKNIFE_GROUPS = 6
+# Radians, and share of the distance.
+JACKKNIFE_STEP = 0.01
+_AXIS_PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
 def plane_from_points(
@@ -77,6 +82,9 @@ def plane_from_points(
         if np.count_nonzero(inliers) < 3:
             raise StageError("the points lie on no plane; give --plane a,b,c,d")
         plane = fit_plane(points[inliers])
+    # The fit follows the points: a steep slice through a floor ends up as the floor.
+    if abs(float(plane.normal @ axes.mean(axis=0))) < SMALLEST_INCIDENCE:
+        raise StageError("no plane of the points is seen from the front; give --plane a,b,c,d")
     inliers = np.abs(plane.signed_distance(points)) < threshold
     offset_sigma, angle_sigma = _least_squares_sigmas(points[inliers], plane, middle)
     share = float(np.mean(inliers))
@@ -107,16 +115,6 @@ def _least_squares_sigmas(
     return float(np.sqrt(offset_variance)), float(np.sqrt(slope_variance.sum()))
 
 
-@dataclass(frozen=True)
-class _PairwiseViews:
-    """Grey photos at one resolution and the pairs of them that are compared."""
-
-    images: tuple[Float32Array, ...]
-    intrinsics: tuple[Intrinsics, ...]
-    world_from_camera: FloatArray
-    pairs: tuple[tuple[int, int], ...]
-
-
 def plane_from_photos(
     views: Views, world_from_camera: FloatArray, progress: Progress
 ) -> PlaneEstimate:
@@ -133,30 +131,30 @@ def plane_from_photos(
     Raises:
         StageError: fewer than two photos, or no plane under which they agree.
     """
-    pairs = _choose_pairs(world_from_camera)
+    pairs = choose_pairs(world_from_camera)
     if not pairs:
         raise StageError(
             "the photos' positions are too few or too close together to estimate a plane; "
             "give --plane a,b,c,d"
         )
     frame = _SearchFrame.of_poses(world_from_camera)
-    coarse = _grey_views(views, world_from_camera, _spread(pairs, COARSE_PAIRS), COARSE_WIDTH)
+    coarse = grey_views(views, world_from_camera, spread_evenly(pairs, COARSE_PAIRS), COARSE_WIDTH)
     candidates = _grid()
     scores = np.array(
         [
-            _correlation(coarse, frame.plane(candidate))
+            plane_correlation(coarse, frame.plane(candidate))
             for candidate in progress(candidates, "search plane", len(candidates))
         ]
     )
     starts = _distinct_best(candidates, scores, 3)
-    pairs = _spread(pairs, FINE_PAIRS)
-    middle = _grey_views(views, world_from_camera, pairs, MIDDLE_WIDTH)
+    pairs = spread_evenly(pairs, FINE_PAIRS)
+    middle = grey_views(views, world_from_camera, pairs, MIDDLE_WIDTH)
     refined = [_refine(middle, frame, start, 0.15, 60) for start in progress(starts, "refine", 3)]
-    best = max(refined, key=lambda candidate: _correlation(middle, frame.plane(candidate)))
-    fine = _grey_views(views, world_from_camera, pairs, FINE_WIDTH)
+    best = max(refined, key=lambda candidate: plane_correlation(middle, frame.plane(candidate)))
+    fine = grey_views(views, world_from_camera, pairs, FINE_WIDTH)
     best = _refine(fine, frame, best, 0.03, 40)
     plane = frame.plane(best)
-    quality = _correlation(fine, plane)
+    quality = plane_correlation(fine, plane)
     if quality < SMALLEST_CORRELATION:
         raise StageError(
             f"the photos do not agree on a plane (best correlation {quality:.2f}); "
@@ -239,13 +237,13 @@ def _distinct_best(
 
 
 def _refine(
-    photos: _PairwiseViews, frame: _SearchFrame, start: FloatArray, step: float, evaluations: int
+    photos: PairwiseViews, frame: _SearchFrame, start: FloatArray, step: float, evaluations: int
 ) -> FloatArray:
     """Simplex search from ``start`` with steps of size ``step`` in all three parameters."""
     simplex = np.vstack([start, start + step * np.eye(3)])
 
     def disagreement(candidate: FloatArray) -> float:
-        return -_correlation(photos, frame.plane(candidate))
+        return -plane_correlation(photos, frame.plane(candidate))
 
     result = minimize(
         disagreement,
@@ -262,135 +260,54 @@ def _refine(
 
 
 def _jackknife(
-    photos: _PairwiseViews, frame: _SearchFrame, best: FloatArray, progress: Progress
+    photos: PairwiseViews, frame: _SearchFrame, best: FloatArray, progress: Progress
 ) -> tuple[float, float]:
-    """Standard deviations of offset (metres) and direction (radians), leaving out pairs."""
+    """Standard deviations of offset (metres) and direction (radians), leaving out pairs.
+
+    The correlation is taken as quadratic around the best plane; the maximum of each subset of the
+    pairs is then one Newton step away. What all pairs together are still off their maximum at this
+    resolution counts as an error, too.
+    """
     groups = min(JACKKNIFE_GROUPS, len(photos.pairs))
     if groups < 2:
         return float("inf"), float("inf")
-    planes = []
-    for group in progress(range(groups), "judge plane", groups):
-        kept = tuple(pair for n, pair in enumerate(photos.pairs) if n % groups != group)
-        subset = _PairwiseViews(photos.images, photos.intrinsics, photos.world_from_camera, kept)
-        planes.append(frame.plane(_refine(subset, frame, best, 0.02, 40)))
+    steps = [np.zeros(3), *(sign * axis for axis in np.eye(3) for sign in (1.0, -1.0))]
+    steps += [sign * (np.eye(3)[i] + np.eye(3)[j]) for i, j in _AXIS_PAIRS for sign in (1.0, -1.0)]
+    values = np.empty((len(steps), len(photos.pairs), 2))
+    for row, step in enumerate(progress(steps, "judge plane", len(steps))):
+        plane = frame.plane(best + JACKKNIFE_STEP * step)
+        for number, (first, second) in enumerate(photos.pairs):
+            values[row, number] = pair_correlation(photos, first, second, plane)
+    group = np.arange(len(photos.pairs)) % groups
+    subsets = [np.ones(len(group), dtype=bool), *(group != number for number in range(groups))]
+    sums = np.stack([values[:, subset].sum(axis=1) for subset in subsets])  # [1 + G, S, 2]
+    if np.any(sums[..., 1] <= 0.0):
+        return float("inf"), float("inf")
+    correlation = sums[..., 0] / sums[..., 1]
+    curvature = _curvature(correlation[0])
+    if np.linalg.eigvalsh(curvature).max() >= 0.0:
+        return float("inf"), float("inf")
+    slopes = (correlation[:, 1:7:2] - correlation[:, 2:7:2]) / 2.0
+    offsets = -JACKKNIFE_STEP * np.linalg.solve(curvature, slopes.T).T
+    planes = [frame.plane(best + offset) for offset in offsets]
     distance = np.array([float(plane.signed_distance(frame.origin)) for plane in planes])
-    mean_normal = np.mean([plane.normal for plane in planes], axis=0)
+    mean_normal = np.mean([plane.normal for plane in planes[1:]], axis=0)
     mean = Plane(mean_normal / np.linalg.norm(mean_normal), 0.0)
-    angles = np.array([angle_between(plane, mean) for plane in planes])
+    angles = np.array([angle_between(plane, mean) for plane in planes[1:]])
+    at_best = frame.plane(best)
+    offset_rest = distance[0] - float(at_best.signed_distance(frame.origin))
+    angle_rest = angle_between(planes[0], at_best)
     factor = groups - 1.0
     return (
-        float(np.sqrt(factor * np.mean((distance - distance.mean()) ** 2))),
-        float(np.sqrt(factor * np.mean(angles**2))),
+        float(np.sqrt(factor * np.var(distance[1:]) + offset_rest**2)),
+        float(np.sqrt(factor * np.mean(angles**2) + angle_rest**2)),
     )
 
 
-def _choose_pairs(world_from_camera: FloatArray) -> tuple[tuple[int, int], ...]:
-    """Pairs that look the same way from places that are neither too close nor too far apart."""
-    centres, axes = world_from_camera[:, :3, 3], world_from_camera[:, :3, 2]
-    gaps = np.linalg.norm(centres[:, None] - centres, axis=-1)
-    alike = axes @ axes.T > np.cos(np.radians(30.0))
-    candidates = (gaps > 1e-6) & alike
-    if not candidates.any():
-        return ()
-    usual = float(np.median(gaps[candidates]))
-    pairs = []
-    for first in range(len(centres)):
-        # Half the usual distance: wide enough to tell planes apart, near enough to look alike.
-        order = np.argsort(np.abs(np.log(np.maximum(gaps[first], 1e-9) / (0.5 * usual))))
-        partners = [int(other) for other in order if candidates[first, other]][:2]
-        pairs += [(first, other) for other in partners]
-    unique = sorted({(min(pair), max(pair)) for pair in pairs})
-    return tuple(unique)
-
-
-def _spread(pairs: tuple[tuple[int, int], ...], count: int) -> tuple[tuple[int, int], ...]:
-    """At most ``count`` of the pairs, taken evenly from all of them."""
-    step = max(1, -(-len(pairs) // count))
-    return pairs[::step]
-
-
-def _grey_views(
-    views: Views,
-    world_from_camera: FloatArray,
-    pairs: tuple[tuple[int, int], ...],
-    width: int,
-) -> _PairwiseViews:
-    images, intrinsics = [], []
-    for view in range(len(views)):
-        full = views.intrinsics[view]
-        scale = min(1.0, width / full.width)
-        pinhole = full.resized(
-            max(8, round(full.width * scale)), max(8, round(full.height * scale))
-        )
-        grey = cv2.cvtColor(np.ascontiguousarray(views.level(view, 0)), cv2.COLOR_RGB2GRAY)
-        size = (pinhole.width, pinhole.height)
-        images.append(cv2.resize(grey, size, interpolation=cv2.INTER_AREA).astype(np.float32))
-        intrinsics.append(pinhole)
-    return _PairwiseViews(tuple(images), tuple(intrinsics), world_from_camera, pairs)
-
-
-def _correlation(photos: _PairwiseViews, plane: Plane) -> float:
-    """Mean local correlation over all pairs; -1 for a plane that the photos cannot see."""
-    total, weight = 0.0, 0.0
-    for first, second in photos.pairs:
-        score, pixels = _pair_correlation(photos, first, second, plane)
-        total += score
-        weight += pixels
-    possible = len(photos.pairs) * photos.images[0].size
-    # A plane that only few pixels of the pairs share could agree by chance.
-    if weight < 0.1 * possible:
-        return -1.0
-    return total / weight
-
-
-def _pair_correlation(
-    photos: _PairwiseViews, first: int, second: int, plane: Plane
-) -> tuple[float, float]:
-    """Sum of the local correlations of a pair, and over how many pixels."""
-    mapping = _homography(photos, first, second, plane)
-    image = photos.images[first]
-    height, width = image.shape
-    corners = np.array([[0, 0, 1], [width, 0, 1], [0, height, 1], [width, height, 1]])
-    if mapping is None or np.any(corners @ mapping[2] <= 0.0):
-        return 0.0, 0.0
-    warped = cv2.warpPerspective(
-        photos.images[second],
-        mapping,
-        (width, height),
-        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=-1e4,
-    )
-    valid = cv2.erode((warped >= 0.0).astype(np.uint8), np.ones((WINDOW, WINDOW), np.uint8)) > 0
-    return _local_correlation(image, np.maximum(warped, 0.0), valid)
-
-
-def _local_correlation(
-    first: Float32Array, second: Float32Array, valid: BoolArray
-) -> tuple[float, float]:
-    """Sum over the valid, textured pixels of the correlation of the windows around them."""
-    window = (WINDOW, WINDOW)
-    mean_first, mean_second = cv2.blur(first, window), cv2.blur(second, window)
-    variance_first = cv2.blur(first * first, window) - mean_first**2
-    variance_second = cv2.blur(second * second, window) - mean_second**2
-    covariance = cv2.blur(first * second, window) - mean_first * mean_second
-    textured = valid & (variance_first > SMALLEST_CONTRAST**2)
-    floor = np.float32(SMALLEST_CONTRAST**2)
-    scale = np.sqrt(np.maximum(variance_first, floor) * np.maximum(variance_second, floor))
-    correlation = np.clip(covariance[textured] / scale[textured], -1.0, 1.0)
-    return float(correlation.sum()), float(np.count_nonzero(textured))
-
-
-def _homography(photos: _PairwiseViews, first: int, second: int, plane: Plane) -> FloatArray | None:
-    """Pixels of the first photo to pixels of the second over the plane; None if it is not seen."""
-    first_from_world = inverse(photos.world_from_camera[first])
-    second_from_first = inverse(photos.world_from_camera[second]) @ np.linalg.inv(first_from_world)
-    height = float(plane.signed_distance(photos.world_from_camera[first][:3, 3]))
-    other = float(plane.signed_distance(photos.world_from_camera[second][:3, 3]))
-    if height <= 0.0 or other <= 0.0:
-        return None
-    normal = photos.world_from_camera[first][:3, :3].T @ plane.normal
-    # Points of the plane obey -normal . x / height = 1 in the first camera's coordinates.
-    transfer = second_from_first[:3, :3] - np.outer(second_from_first[:3, 3], normal) / height
-    matrix = photos.intrinsics[second].matrix() @ transfer
-    return np.asarray(matrix @ np.linalg.inv(photos.intrinsics[first].matrix()))
+def _curvature(values: FloatArray) -> FloatArray:
+    """Second derivatives ``(3, 3)`` from the values at the steps of ``_jackknife``, step 1."""
+    curvature = np.diag(values[1:7:2] + values[2:7:2] - 2.0 * values[0])
+    for number, (i, j) in enumerate(_AXIS_PAIRS):
+        both = values[7 + 2 * number] + values[8 + 2 * number] - 2.0 * values[0]
+        curvature[i, j] = curvature[j, i] = (both - curvature[i, i] - curvature[j, j]) / 2.0
+    return curvature
