@@ -46,19 +46,20 @@ def wall_scene() -> Scene:
     states = [facing_wall(x, 2.0) for x in (-1.0, 0.0, 1.0)]
     images = tuple(encode_png(photo(state)) for state in states)
     poses = world_from_base_planar(np.array(states)) @ MOUNT
+    index = np.zeros(3, dtype=np.int64)
     surface = PlaneEstimate(WALL, 0.01, 0.002, "given", 1.0)
     return Scene(
         image_names=("a.png", "b.png", "c.png"),
         encoded_images=images,
         timestamps=np.arange(3.0),
         cameras=(CAMERA,),
-        camera_index=np.zeros(3, dtype=np.int64),
+        camera_index=index,
         world_from_camera=poses,
         surface=surface,
         base_from_camera=MOUNT,
         bounds=np.array([-3.0, 3.0, -3.0, 0.0]),
         scale_source="given poses",
-        identifier=identifier_of(images, poses, surface, MOUNT),
+        identifier=identifier_of(images, (CAMERA,), index, poses, surface, MOUNT),
     )
 
 

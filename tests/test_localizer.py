@@ -252,15 +252,16 @@ def periodic_scene() -> Scene:
     states = np.array([facing_wall(x, 2.0) for x in np.arange(-5.0, 8.0, 1.0)])
     poses = world_from_base_planar(states) @ MOUNT
     images = tuple(encode_png(photo(state)) for state in states)
+    index = np.zeros(len(states), dtype=np.int64)
     return replace(
         SCENE,
         image_names=tuple(f"{number}.png" for number in range(len(states))),
         encoded_images=images,
         timestamps=np.arange(float(len(states))),
-        camera_index=np.zeros(len(states), dtype=np.int64),
+        camera_index=index,
         world_from_camera=poses,
         bounds=np.array([-5.0, 7.0, -3.0, 0.0]),
-        identifier=identifier_of(images, poses, SCENE.surface, MOUNT),
+        identifier=identifier_of(images, SCENE.cameras, index, poses, SCENE.surface, MOUNT),
     )
 
 

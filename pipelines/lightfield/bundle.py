@@ -6,13 +6,13 @@ dataset a view, ``images/000000`` ..., with the bytes of the photo as recorded.
 """
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.array_types import FloatArray, IntArray
 from pipelines.artifacts.errors import InputError, OptionError
 from pipelines.artifacts.safe_hdf5 import (
     SafeFile,
@@ -95,6 +95,8 @@ def scene_provenance(path: Path) -> dict[str, Any]:
 
 def identifier_of(
     encoded_images: tuple[bytes, ...],
+    cameras: Sequence[Camera],
+    camera_index: IntArray,
     world_from_camera: FloatArray,
     surface: PlaneEstimate,
     base_from_camera: FloatArray | None,
@@ -103,6 +105,10 @@ def identifier_of(
     digest = hashlib.sha256()
     for data in encoded_images:
         digest.update(hashlib.sha256(data).digest())
+    for index in camera_index.tolist():
+        camera = cameras[index]
+        digest.update(f"{camera.model} {camera.width} {camera.height}".encode())
+        digest.update(np.array(camera.params, dtype="<f8").tobytes())
     digest.update(np.ascontiguousarray(world_from_camera, dtype="<f8").tobytes())
     digest.update(surface.plane.coefficients().astype("<f8").tobytes())
     if base_from_camera is not None:
@@ -196,9 +202,7 @@ def _check(path: Path, scene: Scene) -> None:
     if scene.base_from_camera is not None:
         poses.append(scene.base_from_camera[None])
     for pose in poses:
-        rotation = pose[:, :3, :3]
-        product = rotation @ np.swapaxes(rotation, 1, 2)
-        if not np.all(np.isfinite(pose)) or not np.allclose(product, np.eye(3), atol=1e-4):
+        if not _are_rigid(pose):
             raise InputError(path, "holds a pose that is no rigid transform")
     low_x, high_x, low_y, high_y = scene.bounds
     if not np.all(np.isfinite(scene.bounds)) or low_x >= high_x or low_y >= high_y:
@@ -208,10 +212,28 @@ def _check(path: Path, scene: Scene) -> None:
         if (header.width, header.height) != (camera.width, camera.height):
             raise InputError(path, f"photo {index} and its camera differ in size")
     actual = identifier_of(
-        scene.encoded_images, scene.world_from_camera, scene.surface, scene.base_from_camera
+        scene.encoded_images,
+        scene.cameras,
+        scene.camera_index,
+        scene.world_from_camera,
+        scene.surface,
+        scene.base_from_camera,
     )
     if actual != scene.identifier:
         raise InputError(path, "was changed after it was written", "make it again")
+
+
+def _are_rigid(poses: FloatArray) -> bool:
+    """Whether all of ``(N, 4, 4)`` are rotations (no reflections) with translations."""
+    if not np.all(np.isfinite(poses)):
+        return False
+    rotation = poses[:, :3, :3]
+    product = rotation @ np.swapaxes(rotation, 1, 2)
+    return bool(
+        np.allclose(product, np.eye(3), atol=1e-4)
+        and np.all(np.linalg.det(rotation) > 0.0)
+        and np.allclose(poses[:, 3], [0.0, 0.0, 0.0, 1.0], atol=1e-9)
+    )
 
 
 def _finite_or_none(value: float) -> float | None:

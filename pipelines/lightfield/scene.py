@@ -134,8 +134,8 @@ def covered_bounds(
     height = plane.signed_distance(centres)[:, None]
     approach = -(rays @ plane.normal)
     with np.errstate(divide="ignore", invalid="ignore"):
-        distance = np.where(approach > 1e-9, height / approach, np.inf)
-    hits = np.isfinite(distance) & (distance > 0.0)
+        distance = np.where(approach > 1e-9, height / approach, 0.0)
+    hits = distance > 0.0
     spread = centres[:, :2]
     corners = [spread.min(axis=0) - margin, spread.max(axis=0) + margin]
     if np.any(hits):

@@ -121,7 +121,12 @@ def build_scene(source: Reconstruction, settings: ModelSettings, progress: Progr
         bounds=covered_bounds(source.world_from_camera, cameras, surface.plane),
         scale_source=source.scale_source,
         identifier=identifier_of(
-            images, source.world_from_camera, surface, source.base_from_camera
+            images,
+            source.cameras,
+            source.camera_index,
+            source.world_from_camera,
+            surface,
+            source.base_from_camera,
         ),
     )
 
