@@ -15,6 +15,9 @@ from pipelines.geometry.pose import inverse
 from pipelines.lightfield import depth_fusion_kernels
 from pipelines.lightfield.depth import DepthMap, DepthSettings
 
+# What a neighbour's depth counts where it is not confident itself.
+UNSURE_TRUST = 0.5
+
 
 def fuse_depth(
     maps: Sequence[DepthMap],
@@ -48,12 +51,14 @@ def fuse_depth(
         )
     for index in neighbours:
         rays, shift = _pixel_mapping(maps, world_from_camera, view, int(index))
+        trust = np.where(maps[index].confident, 1.0, UNSURE_TRUST).astype(np.float32)
         for candidate, supported, violated in zip(candidates, support, violation, strict=True):
             depth_fusion_kernels.judge(
                 candidate,
                 rays,
                 shift,
                 maps[index].inverse_depth,
+                trust,
                 settings.agreement,
                 supported,
                 violated,

@@ -45,6 +45,7 @@ def judge(
     rays: FloatArray,
     shift: FloatArray,
     other: Float32Array,
+    trust: Float32Array,
     agreement: float,
     support: Float32Array,
     violation: Float32Array,
@@ -57,9 +58,10 @@ def judge(
             q lies at the neighbour's homogeneous pixel A p + q b.
         shift: see ``rays``.
         other: ``(h, w)`` the neighbour's inverse depths.
+        trust: ``(h, w)`` what the neighbour's word counts at each of its pixels.
         agreement: share of the inverse depth within which both are the same surface.
-        support: ``(H, W)`` grows by 1 where the neighbour sees this surface.
-        violation: ``(H, W)`` grows by 1 where the neighbour sees through it.
+        support: ``(H, W)`` grows by the trust where the neighbour sees this surface.
+        violation: ``(H, W)`` grows by the trust where it sees through it.
     """
     height, width = other.shape
     for y in range(candidate.shape[0]):
@@ -74,12 +76,13 @@ def judge(
             v = (rays[1, 0] * x + rays[1, 1] * y + rays[1, 2] + q * shift[1]) / depth
             if not (-0.5 <= u < width - 0.5 and -0.5 <= v < height - 0.5):
                 continue
-            found = other[np.int64(v + 0.5), np.int64(u + 0.5)]
+            row, column = np.int64(v + 0.5), np.int64(u + 0.5)
+            found = other[row, column]
             expected = q / depth
             if abs(found - expected) <= agreement * expected:
-                support[y, x] += np.float32(1.0)
+                support[y, x] += trust[row, column]
             elif found < expected:
-                violation[y, x] += np.float32(1.0)
+                violation[y, x] += trust[row, column]
 
 
 @compiled

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pipelines.artifacts.array_types import Float32Array, FloatArray, ImageArray
 from pipelines.lightfield.compiled import compiled
 
-RADIUS = 3
+RADIUS = 1
 # Costs run from 0 (alike) to about this where the windows have nothing in common.
 LARGEST_COST = np.float32(240.0)
 # What a view costs that does not see the point.
@@ -104,23 +104,23 @@ def add_view_cost(
     warped: Float32Array,
     seen: Float32Array,
     offsets: NDArray[np.int64],
-    dead_zone: float,
+    saturation: float,
     best: Float32Array,
 ) -> None:
-    """Compares two images by their census and keeps the smallest costs of several views.
+    """Compares windows, less the grey of their centres, and keeps the costs of the best views.
 
     Args:
         reference: padded image.
         warped: padded image of a neighbour as the reference would see it.
         seen: ``(H, W)`` 1 where the neighbour sees the point.
         offsets: ``(K, 2)`` rows and columns, not negative, of the window's pixels in it.
-        dead_zone: grey levels by which a pixel must differ from the centre to count as different.
+        saturation: grey levels; larger differences all cost the same.
         best: ``(k, H, W)`` the k smallest costs so far, ascending; updated.
     """
     height, width = seen.shape
     count = len(offsets)
     cost = np.empty(width, np.float32)
-    limit = np.float32(dead_zone)
+    limit = np.float32(saturation)
     weight = np.float32(LARGEST_COST / np.float32(count))
     for y in range(height):
         cost[:] = _ZERO
@@ -183,6 +183,29 @@ def fill_unseen(volume: ImageArray) -> None:
             for x in range(width):
                 if row[x] == 255:
                     row[x] = np.uint8(total[x] // max(seeing[x], np.int32(1)))
+
+
+@compiled
+def distinctness(volume: ImageArray, index: Float32Array, distinct: Float32Array) -> None:
+    """How much better than the average plane the chosen one fits: 0 where all planes look alike.
+
+    Args:
+        volume: ``(D, H, W)`` costs.
+        index: ``(H, W)`` number of the chosen plane, with a fraction.
+        distinct: ``(H, W)`` result: mean cost less the chosen plane's.
+    """
+    planes, height, width = volume.shape
+    total = np.empty(width, np.float32)
+    share = np.float32(1.0 / planes)
+    for y in range(height):
+        total[:] = _ZERO
+        for d in range(planes):
+            row = volume[d, y]
+            for x in range(width):
+                total[x] += np.float32(row[x])
+        for x in range(width):
+            plane = np.int64(index[y, x] + _HALF)
+            distinct[y, x] = total[x] * share - np.float32(volume[plane, y, x])
 
 
 @compiled
