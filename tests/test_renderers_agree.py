@@ -11,7 +11,8 @@ from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
 from pipelines.geometry.pose import base_from_camera_mount, world_from_base_planar
 from pipelines.lightfield.blending import Blending
-from pipelines.lightfield.reference import plane_mappings, render_reference
+from pipelines.lightfield.proxy import Quality, plane_inverse_depth
+from pipelines.lightfield.reference import render_reference, view_mappings
 from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.views import Views, build_views
 from tests.lightfield_samples import WALL, looking, noise_views, pinhole, tilted_wall
@@ -150,11 +151,16 @@ ARRANGEMENTS: tuple[Callable[[np.random.Generator], LightField], ...] = (
 
 
 def assert_agree(
-    views: Views, plane: Plane, pose: FloatArray, camera: Intrinsics, blending: Blending
+    views: Views,
+    plane: Plane,
+    pose: FloatArray,
+    camera: Intrinsics,
+    blending: Blending,
+    quality: Quality = Quality.PLANE,
 ) -> float:
     """Both renderers agree to one grey level; returns the share of covered pixels."""
-    expected, covered = render_reference(views, plane, pose, camera, blending)
-    rendering = Renderer(views, plane, blending, threads=1).render(pose, camera)
+    expected, covered = render_reference(views, plane, pose, camera, blending, quality)
+    rendering = Renderer(views, plane, blending, quality, threads=1).render(pose, camera)
     np.testing.assert_array_equal(rendering.covered, covered)
     assert np.abs(rendering.image - expected).max() <= 1.0
     return rendering.coverage
@@ -196,9 +202,10 @@ def test_views_finer_than_the_virtual_camera(blending: Blending) -> None:
         camera = pinhole(side, side, float(generator.uniform(0.3, 1.5)) * side)
         plane = tilted_wall(generator)
         assert_agree(views, plane, pose, camera, blending)
-        mapping = plane_mappings(views, plane, pose, camera)[0]
-        middle = mapping @ np.array([side / 2, side / 2, 1.0])
-        scale = np.sqrt(np.abs(np.linalg.det(mapping)) / np.abs(middle[:, 2]) ** 3)
+        maps, shifts = view_mappings(views, pose, camera)
+        inverse_depth = plane_inverse_depth(plane, pose, camera)[side // 2, side // 2]
+        middle = maps @ np.array([side // 2, side // 2, 1.0]) + shifts * inverse_depth
+        scale = views.arrays.focal / (camera.fx * middle[:, 2])
         used |= set(np.floor(np.log2(scale) + 0.5).astype(int).tolist())
     assert used >= {1, 2, 3, 4}
 
@@ -223,3 +230,39 @@ def test_no_view_in_front_of_the_plane_covers_nothing(blending: Blending) -> Non
     centres = np.array([somewhere(generator, 2.0, 4.0) for _ in range(4)]) * [1.0, -1.0, 1.0]
     views, plane, pose = light_field(generator, centres, somewhere(generator, 2.0, 3.0))
     assert assert_agree(views, plane, pose, RESOLUTIONS[0], blending) == 0.0
+
+
+def with_depth(views: Views, generator: np.random.Generator, known: float) -> Views:
+    """The same photos with random depth maps: a rough wall, blocks before it, gaps in both."""
+    images = [views.level(view, 0) for view in range(len(views))]
+    poses = np.tile(np.eye(4), (len(views), 1, 1))
+    depths = []
+    for view, camera in enumerate(views.intrinsics):
+        height, width = camera.height // 2, camera.width // 2
+        rays = views.arrays.rays[view]
+        distance = abs(views.centres[view, 1]) / max(abs(float(rays[1, 2])), 0.3)
+        depth = np.full((height, width), 1.0 / distance)
+        depth *= generator.uniform(0.97, 1.03, depth.shape)
+        row, column = generator.integers(0, height - 3), generator.integers(0, width - 3)
+        depth[row : row + height // 3, column : column + width // 3] *= 1.8
+        depth[generator.uniform(size=depth.shape) > known] = 0.0
+        depths.append(depth.astype(np.float32))
+        matrix = np.column_stack([rays @ camera.matrix(), views.centres[view]])
+        poses[view, :3] = matrix
+    return build_views(images, views.intrinsics, poses, depths)
+
+
+@pytest.mark.parametrize("quality", [Quality.FINE, Quality.MEDIUM, Quality.COARSE])
+@pytest.mark.parametrize("blending", Blending)
+def test_random_scenes_with_depth(blending: Blending, quality: Quality) -> None:
+    """Surfaces from depth maps with edges and gaps, hidden views, meshes of all sizes."""
+    coverage = []
+    for number in range(14):
+        generator = np.random.default_rng([19, number])
+        arrangement = (general, robot, mirrored, amid, coincident, one_view, many)[number % 7]
+        views, plane, pose = arrangement(generator)
+        known = (1.0, 0.7, 0.2)[number % 3]
+        camera = RESOLUTIONS[number % len(RESOLUTIONS)]
+        views = with_depth(views, generator, known)
+        coverage.append(assert_agree(views, plane, pose, camera, blending, quality))
+    assert max(coverage) > 0.4

@@ -233,15 +233,15 @@ def test_pyramid_levels_average_areas() -> None:
     image = generator.integers(0, 256, (64, 96, 3)).astype(np.uint8)
     views = build_views([image], [pinhole(96, 64, 80.0)], LINE[0][None])
     level = 0
-    while tuple(views.level_size[0, level]) != (12, 8):
+    while tuple(views.arrays.level_size[0, level]) != (12, 8):
         level += 1
-        width, height = views.level_size[0, level]
+        width, height = views.arrays.level_size[0, level]
         scale = 2**level
         assert (width * scale, height * scale) == (96, 64)
         blocks = image.reshape(height, scale, width, scale, 3).mean(axis=(1, 3))
         # Every level rounds once more.
         assert np.abs(views.level(0, level) - blocks).max() < 0.5 * level + 0.51
-    assert level == views.level_size.shape[1] - 1 == 3
+    assert level == views.arrays.level_size.shape[1] - 1 == 3
 
 
 def test_shrinking_keeps_where_things_are() -> None:

@@ -2,18 +2,19 @@
 
 ``DELAUNAY`` is the paper's net (module ``net``). ``UNSTRUCTURED`` follows Buehler, Bosse, McMillan,
 Gortler, Cohen (2001), "Unstructured lumigraph rendering": at a surface point the views are ranked
-by a penalty for the angle between their ray and the virtual one and for a coarser resolution; the k
-best share the weight, which falls to zero where the next one takes over. As there, weights are
-evaluated on a coarse grid and interpolated: here on tiles of the virtual image, linear inside each.
+by a penalty for the angle between their ray and the virtual one and for a coarser resolution; the
+k best share the weight, which falls to zero where the next one takes over; views that do not show
+the point, because it lies outside their image or behind something nearer, are not ranked. As
+there, this is done at the corners of a coarse grid in the virtual image, and the weights are
+interpolated in between.
 """
 
 from enum import IntEnum
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray, IntArray
+from pipelines.artifacts.array_types import BoolArray, FloatArray, IntArray
 from pipelines.geometry.camera import Intrinsics
-from pipelines.geometry.plane import Plane
 from pipelines.lightfield.net import PixelWeights, sees
 from pipelines.lightfield.views import Views
 
@@ -25,22 +26,66 @@ class Blending(IntEnum):
     UNSTRUCTURED = 1
 
 
-TILE_COLUMNS = 8
-TILE_ROWS = 6
-VIEWS_PER_TILE = 3
+# Tiles are so many pixels wide and high, but there are never fewer or more of them than this.
+TILE_SIDE = 5
+FEWEST_TILES, MOST_TILES = 6, 40
+VIEWS_PER_CORNER = 3
+# A tile blends the views of its four corners.
+VIEWS_PER_TILE = 4 * VIEWS_PER_CORNER
 # Cost of a view at twice the distance, in radians of viewing angle.
 RESOLUTION_PENALTY = 0.05
 # Penalties below this, in radians, all count as the same ray.
 SMALLEST_PENALTY = 1e-4
 # Where no further view takes over, weights fall as if one with this multiple of the worst did.
 LAST_VIEW_FACTOR = 2.0
+# A view whose depth map shows something nearer than this share of a point's distance does not
+# show the point: depth maps are not more exact than that.
+OCCLUSION_FACTOR = 1.05
+
+
+def tile_count(size: int) -> int:
+    """How many tiles there are across (or down) an image of so many pixels."""
+    return min(max(size // TILE_SIDE, FEWEST_TILES), MOST_TILES)
+
+
+def tile_borders(size: int) -> IntArray:
+    """Pixel columns (or rows) ``(tiles + 1,)`` on which the tiles' corners lie."""
+    tiles = tile_count(size)
+    return np.minimum(np.arange(tiles + 1) * size // tiles, size - 1)
+
+
+def occluded(views: Views, view: int, target: FloatArray, surface: FloatArray) -> BoolArray:
+    """Whether a view sees something nearer in the directions of surface points.
+
+    Args:
+        views: the light field.
+        view: which.
+        target: ``(..., 3)`` homogeneous pixels of the points in the view, the third component being
+            the depth in the view divided by the virtual depth.
+        surface: ``(...)`` virtual inverse depths of the points.
+    """
+    depth_map = views.depth_map(view)
+    if depth_map.size == 0:
+        return np.zeros(surface.shape, dtype=bool)
+    width, height = views.arrays.level_size[view, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x = target[..., 0] / target[..., 2]
+        y = target[..., 1] / target[..., 2]
+        own = surface / target[..., 2]
+    usable = sees(target, width, height)
+    columns = np.where(usable, (x + 0.5) * (depth_map.shape[1] / width), 0).astype(np.int64)
+    rows = np.where(usable, (y + 0.5) * (depth_map.shape[0] / height), 0).astype(np.int64)
+    columns = np.minimum(columns, depth_map.shape[1] - 1)
+    rows = np.minimum(rows, depth_map.shape[0] - 1)
+    return np.asarray(usable & (depth_map[rows, columns] > OCCLUSION_FACTOR * own))
 
 
 def unstructured_weights(
     views: Views,
-    plane: Plane,
+    usable: BoolArray,
     maps: FloatArray,
-    facing: FloatArray,
+    shifts: FloatArray,
+    surface: FloatArray,
     world_from_camera: FloatArray,
     intrinsics: Intrinsics,
 ) -> PixelWeights:
@@ -48,100 +93,93 @@ def unstructured_weights(
 
     Args:
         views: the light field's photos.
-        plane: the scene's surface.
-        maps: ``(N, 3, 3)`` mappings from virtual pixels into the views.
-        facing: ``(3,)`` coefficients, negative at pixels that show the surface.
+        usable: ``(N,)`` views that may take part.
+        maps: ``(N, 3, 3)`` and
+        shifts: ``(N, 3)``: a virtual pixel p with inverse depth d is at ``map p + shift d``.
+        surface: ``(H, W)`` virtual inverse depth; 0 where there is no surface.
         world_from_camera: ``(4, 4)`` virtual camera.
         intrinsics: of the virtual camera.
 
     Returns:
-        Views and weights; all three weights are zero in a tile whose centre no view shows.
+        Views and weights ``(H, W, VIEWS_PER_TILE)``; all zero where no corner sees any view.
     """
-    shape = (intrinsics.height, intrinsics.width, 3)
+    columns = tile_borders(intrinsics.width)
+    rows = tile_borders(intrinsics.height)
+    at_corner = np.zeros((len(rows), len(columns), len(views)))
+    for i, row in enumerate(rows):
+        for j, column in enumerate(columns):
+            if surface[row, column] > 0.0:
+                at_corner[i, j] = _corner_weights(
+                    views,
+                    usable,
+                    maps,
+                    shifts,
+                    float(surface[row, column]),
+                    np.array([column, row, 1.0]),
+                    world_from_camera,
+                    intrinsics,
+                )
+    shape = (intrinsics.height, intrinsics.width, VIEWS_PER_TILE)
     chosen, weights = np.zeros(shape, dtype=np.int64), np.zeros(shape)
-    tile_column = np.arange(intrinsics.width) * TILE_COLUMNS // intrinsics.width
-    tile_row = np.arange(intrinsics.height) * TILE_ROWS // intrinsics.height
-    for row in range(TILE_ROWS):
-        for column in range(TILE_COLUMNS):
-            own = np.ix_(tile_row == row, tile_column == column)
-            left = -0.5 + intrinsics.width * column / TILE_COLUMNS
-            top = -0.5 + intrinsics.height * row / TILE_ROWS
-            size = intrinsics.width / TILE_COLUMNS, intrinsics.height / TILE_ROWS
-            best, corner_weights = _tile(
-                views, plane, maps, facing, world_from_camera, intrinsics, (left, top), size
-            )
-            if len(best) == 0:
-                continue
-            rows, columns = np.meshgrid(
-                np.flatnonzero(tile_row == row),
-                np.flatnonzero(tile_column == column),
-                indexing="ij",
-            )
-            u = (columns - left) / size[0] - 0.5
-            v = (rows - top) / size[1] - 0.5
-            # The plane that fits the four corner values best: mean and the two mean slopes.
-            mean = corner_weights.mean(axis=0)
-            slope_u = corner_weights[[1, 3]].mean(axis=0) - corner_weights[[0, 2]].mean(axis=0)
-            slope_v = corner_weights[[2, 3]].mean(axis=0) - corner_weights[[0, 1]].mean(axis=0)
-            linear = mean + u[..., None] * slope_u + v[..., None] * slope_v
-            padding = VIEWS_PER_TILE - len(best)
-            weights[own] = np.pad(np.maximum(linear, 0.0), ((0, 0), (0, 0), (0, padding)))
-            chosen[own] = np.pad(best, (0, padding), constant_values=best[-1])
+    for y in range(intrinsics.height):
+        i = _tile_of(rows, y)
+        for x in range(intrinsics.width):
+            j = _tile_of(columns, x)
+            corners = at_corner[i : i + 2, j : j + 2].reshape(4, -1)
+            members = np.flatnonzero(corners.any(axis=0))
+            fx = (x - columns[j]) / max(columns[j + 1] - columns[j], 1)
+            fy = (y - rows[i]) / max(rows[i + 1] - rows[i], 1)
+            shares = np.array([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy])
+            chosen[y, x, : len(members)] = members
+            weights[y, x, : len(members)] = shares @ corners[:, members]
     return PixelWeights(chosen, weights)
 
 
-def _tile(
+def _tile_of(borders: IntArray, position: int) -> int:
+    """Index of the tile in which a pixel column (or row) lies."""
+    return int(np.clip(np.searchsorted(borders, position, side="right") - 1, 0, len(borders) - 2))
+
+
+def _corner_weights(
     views: Views,
-    plane: Plane,
+    usable: BoolArray,
     maps: FloatArray,
-    facing: FloatArray,
-    world_from_camera: FloatArray,
-    intrinsics: Intrinsics,
-    origin: tuple[float, float],
-    size: tuple[float, float],
-) -> tuple[IntArray, FloatArray]:
-    """The best views at a tile's centre, ``(k,)``, and their weights at its corners, ``(4, k)``."""
-    centre = np.array([origin[0] + size[0] / 2, origin[1] + size[1] / 2, 1.0])
-    if centre @ facing >= 0.0:
-        return np.empty(0, dtype=np.int64), np.empty((4, 0))
-    seen = sees(maps @ centre, views.level_size[:, 0, 0], views.level_size[:, 0, 1])
-    seen &= plane.signed_distance(views.centres) > 0.0
-    candidates = np.flatnonzero(seen).astype(np.int64)
-    penalty = _penalties(views, plane, centre, world_from_camera, intrinsics)[candidates]
-    order = np.argsort(penalty, kind="stable")
-    best = candidates[order[:VIEWS_PER_TILE]]
-    if len(best) == 0:
-        return best, np.empty((4, 0))
-    if len(order) > VIEWS_PER_TILE:
-        limit = penalty[order[VIEWS_PER_TILE]]
-    else:
-        limit = LAST_VIEW_FACTOR * penalty[order[-1]]
-    limit = max(limit, LAST_VIEW_FACTOR * SMALLEST_PENALTY)
-    at_centre = _shares(penalty[order[:VIEWS_PER_TILE]], limit)
-    corner_weights = np.tile(at_centre, (4, 1))
-    for number in range(4):
-        corner = np.array(
-            [origin[0] + size[0] * (number % 2), origin[1] + size[1] * (number // 2), 1.0]
-        )
-        if corner @ facing < 0.0:
-            there = _penalties(views, plane, corner, world_from_camera, intrinsics)[best]
-            if np.any(there < limit):
-                corner_weights[number] = _shares(there, limit)
-    return best, corner_weights
-
-
-def _penalties(
-    views: Views,
-    plane: Plane,
+    shifts: FloatArray,
+    inverse_depth: float,
     pixel: FloatArray,
     world_from_camera: FloatArray,
     intrinsics: Intrinsics,
 ) -> FloatArray:
-    """Penalty ``(N,)`` of each view at the surface point that a virtual pixel shows."""
+    """Weights ``(N,)`` of the views at one virtual pixel; at most k are not zero, sum 1 or 0."""
+    weights = np.zeros(len(views))
+    target = maps @ pixel + shifts * inverse_depth
+    size = views.arrays.level_size[:, 0]
+    seen = usable & sees(target, size[:, 0], size[:, 1])
+    for view in np.flatnonzero(seen):
+        seen[view] = not occluded(views, int(view), target[view], np.array(inverse_depth))
+    candidates = np.flatnonzero(seen)
+    if len(candidates) == 0:
+        return weights
     centre = world_from_camera[:3, 3]
     ray = world_from_camera[:3, :3] @ np.linalg.inv(intrinsics.matrix()) @ pixel
-    point = centre - ray * float(plane.signed_distance(centre)) / (plane.normal @ ray)
-    virtual, recorded = point - centre, point - views.centres
+    penalty = _penalties(views.centres[candidates], centre, centre + ray / inverse_depth)
+    order = np.argsort(penalty, kind="stable")
+    best = order[:VIEWS_PER_CORNER]
+    if len(order) > VIEWS_PER_CORNER:
+        limit = penalty[order[VIEWS_PER_CORNER]]
+    else:
+        limit = LAST_VIEW_FACTOR * penalty[order[-1]]
+    limit = max(limit, LAST_VIEW_FACTOR * SMALLEST_PENALTY)
+    share = np.maximum(1.0 - penalty[best] / limit, 0.0)
+    share /= np.maximum(penalty[best], SMALLEST_PENALTY)
+    total = share.sum()
+    weights[candidates[best]] = share / total if total > 0.0 else 1.0 / len(best)
+    return weights
+
+
+def _penalties(centres: FloatArray, virtual_centre: FloatArray, point: FloatArray) -> FloatArray:
+    """Penalty ``(n,)`` of views at ``centres`` (n, 3) for showing a surface point."""
+    virtual, recorded = point - virtual_centre, point - centres
     virtual_distance = np.linalg.norm(virtual)
     distance = np.linalg.norm(recorded, axis=1)
     cosine = recorded @ virtual / (distance * virtual_distance)
@@ -149,12 +187,3 @@ def _penalties(
     angle = np.sqrt(np.maximum(2.0 - 2.0 * cosine, 0.0))
     coarser = np.maximum(distance / virtual_distance - 1.0, 0.0)
     return np.asarray(angle + RESOLUTION_PENALTY * coarser)
-
-
-def _shares(penalty: FloatArray, limit: float) -> FloatArray:
-    """Weights with sum 1 that are large at small penalties and zero at the limit."""
-    weights = np.maximum(1.0 - penalty / limit, 0.0) / np.maximum(penalty, SMALLEST_PENALTY)
-    total = weights.sum()
-    if total <= 0.0:
-        return np.full(len(penalty), 1.0 / len(penalty))
-    return np.asarray(weights / total)

@@ -11,7 +11,7 @@ from enum import IntEnum
 import numpy as np
 
 from pipelines.artifacts.array_types import BoolArray, Float32Array
-from pipelines.lightfield.compiled import compiled
+from pipelines.lightfield.compiled import compiled, compiled_leaf
 
 
 class Cost(IntEnum):
@@ -41,7 +41,7 @@ UNCOVERED_GRADIENT = 0.5
 LARGEST_GAIN = 1.5
 
 
-@compiled
+@compiled_leaf
 def best_gain(image: Float32Array, covered: BoolArray, query: Float32Array) -> float:
     """The factor, between 1 / LARGEST_GAIN and LARGEST_GAIN, that fits the image best."""
     product, square = 0.0, 0.0
@@ -83,7 +83,7 @@ def compare(
     return _gradient(image, covered, query, gain)
 
 
-@compiled
+@compiled_leaf
 def _squared(
     image: Float32Array, covered: BoolArray, query: Float32Array, gain: np.float32
 ) -> float:
@@ -99,7 +99,7 @@ def _squared(
     return float(total / (3.0 * 255.0 * 255.0 * covered.size))
 
 
-@compiled
+@compiled_leaf
 def _robust(
     image: Float32Array, covered: BoolArray, query: Float32Array, gain: np.float32
 ) -> float:
@@ -144,7 +144,7 @@ def _correlation(image: Float32Array, covered: BoolArray, query: Float32Array) -
     return float(share * (1.0 - correlation) / 2.0 + (1.0 - share) * UNCOVERED_ZNCC)
 
 
-@compiled
+@compiled_leaf
 def _gradient(
     image: Float32Array, covered: BoolArray, query: Float32Array, gain: np.float32
 ) -> float:

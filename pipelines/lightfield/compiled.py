@@ -20,7 +20,28 @@ def compiled(function: Function) -> Function:
     It releases the interpreter lock, divides as the processor does (no exception for zero), and may
     fuse multiplication and addition; infinities and NaN keep their meaning.
     """
-    dispatcher: Any = njit(nogil=True, error_model="numpy", fastmath={"contract"})(function)
+    return _compiled(function, count_references=True)
+
+
+def compiled_leaf(function: Function) -> Function:
+    """Like ``compiled``, for small functions that neither make arrays nor slice them.
+
+    Numba counts the references to an array in every function that it is passed to, by locked
+    operations on memory that all threads share. In a function that is called for every pixel this
+    takes several times as long as the work itself; here it is left out. A function that makes an
+    array after all does not compile.
+    """
+    return _compiled(function, count_references=False)
+
+
+def _compiled(function: Function, count_references: bool) -> Function:
+    options: dict[str, Any] = {
+        "nogil": True,
+        "error_model": "numpy",
+        "fastmath": {"contract"},
+        "_nrt": count_references,
+    }
+    dispatcher: Any = njit(**options)(function)
     # Where no folder can be written to, functions are compiled anew in every process.
     with contextlib.suppress(RuntimeError):
         dispatcher._cache = _DependencyCache(function)

@@ -1,15 +1,15 @@
 """The net of recording centres, fast: the same weights as ``net``, compiled.
 
-The net of one virtual image is written as *cells*: regions of the image with three views and three
-weights that are linear in the pixel, ``weight = a x + b y + c``. A triangle is a cell; so is an
-interval of a one-dimensional net, the strip beyond an outer edge (third weight zero), and the wedge
-beyond an outer corner (one weight 1). A label image says which cell a pixel lies in.
+The net of one virtual image is written as *cells*: regions of the image with up to three views and
+their weights, ``weight = a x + b y + c + d x y`` with d = 0 here. A triangle is a cell; so is an
+interval of a one-dimensional net, the strip beyond an outer edge (two views), and the wedge beyond
+an outer corner (one). A label image says which cell a pixel lies in.
 """
 
 import numpy as np
 
 from pipelines.artifacts.array_types import BoolArray, FloatArray, IntArray
-from pipelines.lightfield.compiled import compiled
+from pipelines.lightfield.compiled import compiled, compiled_leaf
 from pipelines.lightfield.net import (
     COINCIDENT_PIXELS,
     COINCIDENT_SHARE,
@@ -19,7 +19,7 @@ from pipelines.lightfield.net import (
 from pipelines.lightfield.triangulation import GHOST, delaunay, turn
 
 
-@compiled
+@compiled_leaf
 def project_centre(
     offset: FloatArray, rotation: FloatArray, intrinsics: FloatArray, corner: FloatArray
 ) -> None:
@@ -98,8 +98,8 @@ def line_net(
     Args:
         positions: (n,) of the corners along ``direction``.
         direction: (2,) unit vector in the image.
-        cell_corners: (c, 3) receives corner indices of each cell.
-        cell_weights: (c, 3, 3) receives the coefficients a, b, c of each corner's weight.
+        cell_corners: (c, k) receives corner indices of each cell.
+        cell_weights: (c, k, 4) receives the coefficients a, b, c of each corner's weight.
         label: (H, W) receives each pixel's cell.
 
     Returns:
@@ -108,9 +108,10 @@ def line_net(
     order = np.argsort(positions, kind="mergesort")
     count = len(order)
     cell_weights[: count + 1] = 0.0
+    cell_corners[: count + 1] = GHOST
     for cell in range(count + 1):
         first, second = order[max(cell - 1, 0)], order[min(cell, count - 1)]
-        cell_corners[cell, 0], cell_corners[cell, 1], cell_corners[cell, 2] = first, second, second
+        cell_corners[cell, 0], cell_corners[cell, 1] = first, second
         width = positions[second] - positions[first]
         if cell in (0, count) or width <= 0.0:
             cell_weights[cell, 0, 2] = 1.0
@@ -141,8 +142,8 @@ def triangle_net(
 
     Args:
         points: (n, 2) corners, pixels, distinct.
-        cell_corners: (c, 3) receives corner indices, c >= 4 n + 8.
-        cell_weights: (c, 3, 3) receives the coefficients of each corner's weight.
+        cell_corners: (c, k) receives corner indices, c >= 4 n + 8.
+        cell_weights: (c, k, 4) receives the coefficients of each corner's weight.
         label: (H, W) receives each pixel's cell.
 
     Returns:
@@ -162,6 +163,8 @@ def triangle_net(
             hull[hull_count, 0], hull[hull_count, 1] = a, b
             hull_count += 1
             continue
+        cell_corners[cells] = GHOST
+        cell_weights[cells] = 0.0
         cell_corners[cells, 0], cell_corners[cells, 1], cell_corners[cells, 2] = a, b, c
         _barycentric(points[a], points[b], points[c], cell_weights[cells])
         _fill(points[a], points[b], points[c], cells, label)
@@ -169,7 +172,7 @@ def triangle_net(
     return _label_outside(points, hull[:hull_count], cells, cell_corners, cell_weights, label)
 
 
-@compiled
+@compiled_leaf
 def _barycentric(a: FloatArray, b: FloatArray, c: FloatArray, weights: FloatArray) -> None:
     """Writes the linear functions (3, 3) that are 1 at the own corner and 0 at the others."""
     area = turn(a, b, c)
@@ -181,7 +184,7 @@ def _barycentric(a: FloatArray, b: FloatArray, c: FloatArray, weights: FloatArra
         weights[i, 2] = (p[0] * q[1] - p[1] * q[0]) / area
 
 
-@compiled
+@compiled_leaf
 def _crossing(p: FloatArray, q: FloatArray, y: int) -> float:
     """Where the edge p q crosses row y; the same for p q and q p, so that no cracks open."""
     if p[1] > q[1] or (p[1] == q[1] and p[0] > q[0]):
@@ -227,9 +230,9 @@ def _label_outside(
         squared = dx * dx + dy * dy
         strip, wedge = cells + edge, cells + edges + edge
         for cell in (strip, wedge):
-            cell_corners[cell, 0], cell_corners[cell, 1] = first, second
-            cell_corners[cell, 2] = second
+            cell_corners[cell] = GHOST
             cell_weights[cell] = 0.0
+            cell_corners[cell, 0], cell_corners[cell, 1] = first, second
         cell_weights[strip, 1, 0], cell_weights[strip, 1, 1] = dx / squared, dy / squared
         cell_weights[strip, 1, 2] = -(a[0] * dx + a[1] * dy) / squared
         cell_weights[strip, 0, 0], cell_weights[strip, 0, 1] = -dx / squared, -dy / squared
@@ -242,7 +245,7 @@ def _label_outside(
     return cells + 2 * edges
 
 
-@compiled
+@compiled_leaf
 def _nearest_border(points: FloatArray, hull: IntArray, x: float, y: float) -> int:
     """Index of the nearest hull edge's strip, or, plus their number, of a corner's wedge."""
     edges = len(hull)
@@ -282,8 +285,8 @@ def build_net(
         rotation: (3, 3) world_from_camera of the virtual camera.
         intrinsics: (4,) fx, fy, cx, cy.
         visible: (N,) views that take part.
-        cell_views: (c, 3) receives view indices, c >= 4 N + 8.
-        cell_weights: (c, 3, 3) receives weight coefficients.
+        cell_views: (c, k) receives view indices, c >= 4 N + 8.
+        cell_weights: (c, k, 4) receives weight coefficients.
         label: (H, W) receives each pixel's cell.
 
     Returns:
@@ -323,6 +326,7 @@ def build_net(
         positions = points[:, 0] * direction[0] + points[:, 1] * direction[1]
         cells = line_net(positions, direction, cell_views, cell_weights, label)
     for cell in range(cells):
-        for i in range(3):
-            cell_views[cell, i] = indices[kept[cell_views[cell, i]]]
+        for i in range(cell_views.shape[1]):
+            if cell_views[cell, i] != GHOST:
+                cell_views[cell, i] = indices[kept[cell_views[cell, i]]]
     return cells

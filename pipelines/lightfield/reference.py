@@ -8,13 +8,14 @@ import numpy as np
 from pipelines.artifacts.array_types import BoolArray, FloatArray, ImageArray, IntArray
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
-from pipelines.lightfield.blending import Blending, unstructured_weights
+from pipelines.lightfield.blending import Blending, occluded, unstructured_weights
 from pipelines.lightfield.net import PixelWeights, pixel_weights, project_centres, sees
-from pipelines.lightfield.views import Views
+from pipelines.lightfield.proxy import Quality, depth_inverse_depth, plane_inverse_depth
+from pipelines.lightfield.views import Views, without_depth
 
-# A view takes part when it sees one of so many points of the surface in the virtual frustum.
+# A view takes part in the net when it sees one of so many by so many points of the surface.
 FRUSTUM_SAMPLES = 5
-# Below this sum of weights the views of the net do not show the pixel.
+# Below this sum of weights the chosen views do not show the pixel.
 SMALLEST_WEIGHT = 1e-6
 
 
@@ -24,46 +25,93 @@ def render_reference(
     world_from_camera: FloatArray,
     intrinsics: Intrinsics,
     blending: Blending = Blending.DELAUNAY,
+    quality: Quality = Quality.PLANE,
 ) -> tuple[FloatArray, BoolArray]:
     """Renders a virtual view.
 
     Args:
         views: the light field's photos.
-        plane: the scene's surface.
+        plane: the scene's surface where ``quality`` is ``PLANE``.
         world_from_camera: ``(4, 4)`` virtual camera.
         intrinsics: of the virtual camera.
         blending: the rule that chooses and weights the views.
+        quality: how finely the surface follows the depth maps.
 
     Returns:
         The image ``(H, W, 3)``, RGB in 0 to 255, zero where uncovered; and which pixels are
         covered, ``(H, W)``.
     """
     shape = (intrinsics.height, intrinsics.width)
-    nothing = np.zeros((*shape, 3)), np.zeros(shape, dtype=bool)
-    if plane.signed_distance(world_from_camera[:3, 3]) <= 0.0:
-        return nothing
-    maps, facing = plane_mappings(views, plane, world_from_camera, intrinsics)
-    usable = plane.signed_distance(views.centres) > 0.0
+    if quality is Quality.PLANE:
+        views = without_depth(views)
+        surface = plane_inverse_depth(plane, world_from_camera, intrinsics)
+        usable = plane.signed_distance(views.centres) > 0.0
+    else:
+        surface = depth_inverse_depth(views, world_from_camera, intrinsics, quality)
+        usable = np.ones(len(views), dtype=bool)
+    maps, shifts = view_mappings(views, world_from_camera, intrinsics)
     if blending is Blending.DELAUNAY:
-        usable &= views_in_frustum(views, maps, facing, intrinsics)
+        usable &= views_in_frustum(views, maps, shifts, surface)
     if not usable.any():
-        return nothing
+        return np.zeros((*shape, 3)), np.zeros(shape, dtype=bool)
     columns, rows = np.meshgrid(np.arange(shape[1]), np.arange(shape[0]))
     pixels = np.stack([columns, rows, np.ones(shape)], axis=-1)  # [H, W, 3]
-    in_front = pixels @ facing < 0.0
+    focal = 0.5 * (intrinsics.fx + intrinsics.fy)
     colours = np.zeros((len(views), *shape, 3))
     seen = np.zeros((len(views), *shape), dtype=bool)
+    hidden = np.zeros((len(views), *shape), dtype=bool)
     for view in np.flatnonzero(usable):
-        target = pixels @ maps[view].T
-        width, height = views.level_size[view, 0]
-        seen[view] = sees(target, width, height) & in_front
-        colours[view] = _sample(views, int(view), maps[view], target, seen[view])
+        target = pixels @ maps[view].T + surface[..., None] * shifts[view]
+        width, height = views.arrays.level_size[view, 0]
+        seen[view] = sees(target, width, height) & (surface > 0.0)
+        hidden[view] = occluded(views, int(view), target, surface)
+        colours[view] = _sample(views, int(view), target, seen[view], focal)
     if blending is Blending.DELAUNAY:
         weights = _net_weights(views, usable, world_from_camera, intrinsics)
     else:
-        weights = unstructured_weights(views, plane, maps, facing, world_from_camera, intrinsics)
+        weights = unstructured_weights(
+            views, usable, maps, shifts, surface, world_from_camera, intrinsics
+        )
     corners = project_centres(views.centres, world_from_camera, intrinsics)
-    return _blend(weights, colours, seen, corners)
+    return _blend(weights, colours, seen, hidden, corners)
+
+
+def view_mappings(
+    views: Views, world_from_camera: FloatArray, intrinsics: Intrinsics
+) -> tuple[FloatArray, FloatArray]:
+    """The mappings from virtual pixels over the surface into each view.
+
+    A virtual pixel p at inverse depth d lies at C + R K^-1 p / d; multiplied by d this is linear in
+    p and d. For a plane d is linear in p too, and both together are the paper's B_i B_V^-1.
+
+    Returns:
+        ``(N, 3, 3)`` maps and ``(N, 3)`` shifts: ``map p + shift d`` are homogeneous pixels of the
+        views' finest levels, the third component being the view's depth divided by the virtual one.
+    """
+    rays = world_from_camera[:3, :3] @ np.linalg.inv(intrinsics.matrix())
+    projection = views.arrays.projection
+    maps = projection[:, :, :3] @ rays
+    shifts = projection[:, :, :3] @ world_from_camera[:3, 3] + projection[:, :, 3]
+    return maps, shifts
+
+
+def views_in_frustum(
+    views: Views, maps: FloatArray, shifts: FloatArray, surface: FloatArray
+) -> BoolArray:
+    """Which views see any of a grid of surface points of the virtual frustum, ``(N,)``."""
+    height, width = surface.shape
+    steps = np.arange(FRUSTUM_SAMPLES)
+    rows, columns = np.meshgrid(
+        steps * (height - 1) // (FRUSTUM_SAMPLES - 1),
+        steps * (width - 1) // (FRUSTUM_SAMPLES - 1),
+        indexing="ij",
+    )
+    depth = surface[rows, columns].reshape(-1)
+    samples = np.stack([columns, rows, np.ones_like(rows)], axis=-1).reshape(-1, 3)
+    target = samples @ np.swapaxes(maps, 1, 2) + depth[:, None] * shifts[:, None]  # [N, S, 3]
+    size = views.arrays.level_size[:, 0]
+    seen = sees(target, size[:, None, 0], size[:, None, 1]) & (depth > 0.0)
+    return np.asarray(seen.any(axis=1))
 
 
 def _net_weights(
@@ -75,59 +123,21 @@ def _net_weights(
     return PixelWeights(indices[net.views], net.weights)
 
 
-def plane_mappings(
-    views: Views, plane: Plane, world_from_camera: FloatArray, intrinsics: Intrinsics
-) -> tuple[FloatArray, FloatArray]:
-    """The mappings from virtual pixels over the plane into each view, the paper's B_i B_V^-1.
-
-    A virtual pixel p has the viewing ray r = R K^-1 p and meets the plane n . x + d = 0 at
-    C - r (n . C + d) / (n . r). Multiplied by -(n . r) > 0 this is linear in p.
-
-    Returns:
-        ``(N, 3, 3)`` matrices to homogeneous pixels of the views' finest levels (third component
-        positive in front of the view), and ``(3,)`` coefficients whose product with p is negative
-        where the ray meets the plane in front of the virtual camera.
-    """
-    centre = world_from_camera[:3, 3]
-    rays = world_from_camera[:3, :3] @ np.linalg.inv(intrinsics.matrix())
-    facing = plane.normal @ rays
-    height = float(plane.signed_distance(centre))
-    points = height * rays - np.outer(centre, facing)  # homogeneous scale: -facing . p
-    maps = views.projection[:, :, :3] @ points - views.projection[:, :, 3:] * facing
-    return maps, facing
-
-
-def views_in_frustum(
-    views: Views, maps: FloatArray, facing: FloatArray, intrinsics: Intrinsics
-) -> BoolArray:
-    """Which views see any of a grid of surface points of the virtual frustum, ``(N,)``."""
-    columns, rows = np.meshgrid(
-        np.linspace(-0.5, intrinsics.width - 0.5, FRUSTUM_SAMPLES),
-        np.linspace(-0.5, intrinsics.height - 0.5, FRUSTUM_SAMPLES),
-    )
-    samples = np.stack([columns, rows, np.ones_like(rows)], axis=-1).reshape(-1, 3)
-    samples = samples[samples @ facing < 0.0]
-    target = samples @ np.swapaxes(maps, 1, 2)  # [N, S, 3]
-    size = views.level_size[:, 0]
-    seen = sees(target, size[:, None, 0], size[:, None, 1])
-    return np.asarray(seen.any(axis=1))
-
-
 def _sample(
-    views: Views, view: int, mapping: FloatArray, target: FloatArray, seen: BoolArray
+    views: Views, view: int, target: FloatArray, seen: BoolArray, focal: float
 ) -> FloatArray:
     """Bilinear samples of one view at the pyramid level that suits each pixel, ``(H, W, 3)``."""
     result = np.zeros((*seen.shape, 3))
     depth = target[seen][:, 2]
     position = target[seen][:, :2] / depth[:, None]
-    # The area that a virtual pixel covers in the view is |det H| / depth^3.
-    scale = np.sqrt(np.abs(np.linalg.det(mapping)) / depth**3)
-    levels = np.clip(np.floor(np.log2(scale) + 0.5), 0, views.level_size.shape[1] - 1)
+    # How many pixels of the view a virtual pixel spans, on a surface that faces both.
+    scale = views.arrays.focal[view] / (focal * depth)
+    levels = np.clip(np.floor(np.log2(scale) + 0.5), 0, views.arrays.level_size.shape[1] - 1)
     samples = np.zeros((len(depth), 3))
     for level in np.unique(levels).astype(int):
         chosen = levels == level
         samples[chosen] = _bilinear(
-            views.level(view, level), position[chosen], views.level_size[view, 0]
+            views.level(view, level), position[chosen], views.arrays.level_size[view, 0]
         )
     result[seen] = samples
     return result
@@ -146,28 +156,37 @@ def _bilinear(image: ImageArray, position: FloatArray, full_size: IntArray) -> F
 
 
 def _blend(
-    weights: PixelWeights, colours: FloatArray, seen: BoolArray, corners: FloatArray
+    weights: PixelWeights,
+    colours: FloatArray,
+    seen: BoolArray,
+    hidden: BoolArray,
+    corners: FloatArray,
 ) -> tuple[FloatArray, BoolArray]:
     """Weighted sum of what the chosen views show; what they do not show goes to the others."""
-    rows, columns = np.indices(seen.shape[1:])
+    grid = np.indices(seen.shape[1:])
+    rows, columns = grid[0], grid[1]
     image = np.zeros((*seen.shape[1:], 3))
     total = np.zeros(seen.shape[1:])
-    for corner in range(3):
+    for corner in range(weights.views.shape[-1]):
         view = weights.views[..., corner]
-        weight = weights.weights[..., corner] * seen[view, rows, columns]
+        shown = seen[view, rows, columns] & ~hidden[view, rows, columns]
+        weight = np.maximum(weights.weights[..., corner], 0.0) * shown
         image += weight[..., None] * colours[view, rows, columns]
         total += weight
     blended = total > SMALLEST_WEIGHT
     image[blended] /= total[blended][:, None]
-    # Where no chosen view shows the pixel, the view with the nearest projected centre that does.
-    pixels = np.stack([columns, rows], axis=-1)[~blended].astype(float)
+    # Where no chosen view shows the pixel, the view with the nearest projected centre that does;
+    # one that may be occluded only where all others are: depth is not exact enough to leave holes.
+    rest = ~blended
+    pixels = np.stack([columns, rows], axis=-1)[rest].astype(float)
     offsets = pixels[:, None] - corners  # [P, N, 2]
     distance: FloatArray = np.sum(offsets * offsets, axis=2)
-    distance[~seen[:, ~blended].T] = np.inf
-    nearest = distance.argmin(axis=1)
-    found = np.isfinite(distance.min(axis=1))
-    substitute = colours[nearest, rows[~blended], columns[~blended]]
-    image[~blended] = np.where(found[:, None], substitute, 0.0)
+    clear = np.where((seen & ~hidden)[:, rest].T, distance, np.inf)
+    any_view = np.where(seen[:, rest].T, distance, np.inf)
+    has_clear = np.isfinite(clear.min(axis=1))
+    nearest = np.where(has_clear, clear.argmin(axis=1), any_view.argmin(axis=1))
+    found = np.isfinite(any_view.min(axis=1))
+    image[rest] = np.where(found[:, None], colours[nearest, rows[rest], columns[rest]], 0.0)
     covered = blended.copy()
-    covered[~blended] = found
+    covered[rest] = found
     return image, covered

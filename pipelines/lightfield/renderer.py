@@ -6,13 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipelines.artifacts.array_types import (
-    BoolArray,
-    Float32Array,
-    FloatArray,
-    ImageArray,
-    IntArray,
-)
+from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray, ImageArray
 from pipelines.artifacts.errors import OptionError
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
@@ -20,8 +14,9 @@ from pipelines.lightfield.blending import Blending
 from pipelines.lightfield.comparison import Cost, compare
 from pipelines.lightfield.compiled import compiled
 from pipelines.lightfield.kernels import render_view
+from pipelines.lightfield.proxy import Quality, cell_size, usual_inverse_depth
 from pipelines.lightfield.scene import Scene
-from pipelines.lightfield.views import Views, views_of_scene
+from pipelines.lightfield.views import ViewArrays, Views, views_of_scene, without_depth
 
 # Poses that one task of the thread pool works on: few enough to balance, enough to cost no time.
 POSES_PER_TASK = 32
@@ -50,6 +45,16 @@ class Renderer:
 
     Works on all processors of the process's affinity unless ``threads`` says otherwise; results do
     not depend on the number of threads.
+
+    Args:
+        views: the photos.
+        plane: the scene's surface where ``quality`` is ``PLANE``.
+        blending: the rule that chooses and weights the views.
+        quality: how finely the surface follows the views' depth maps.
+        threads: None: one a processor.
+
+    Raises:
+        OptionError: no threads, or a quality that needs depth maps where there are none.
     """
 
     def __init__(
@@ -57,25 +62,25 @@ class Renderer:
         views: Views,
         plane: Plane,
         blending: Blending = Blending.UNSTRUCTURED,
+        quality: Quality = Quality.PLANE,
         threads: int | None = None,
     ) -> None:
         if threads is not None and threads < 1:
             raise OptionError(f"{threads} threads cannot do any work; give at least 1")
-        self.views = views
+        if quality is not Quality.PLANE and not views.has_depth:
+            raise OptionError(
+                f"quality {quality.name.lower()} needs depth maps, and the scene has none; "
+                "make it with --geometry depth"
+            )
+        # A plane hides nothing, whatever depth maps say.
+        self.views = without_depth(views) if quality is Quality.PLANE else views
         self.plane = plane
+        self.blending = blending
+        self.quality = quality
         self.threads = threads or len(os.sched_getaffinity(0))
         self._pool = ThreadPoolExecutor(self.threads)
-        self.blending = blending
-        self._light_field = (
-            int(blending),
-            plane.coefficients(),
-            plane.signed_distance(views.centres) > 0.0,
-            views.projection,
-            views.centres,
-            views.texels,
-            views.level_start,
-            views.level_size,
-        )
+        self._usual_inverse_depth = usual_inverse_depth(self.views)
+        self._in_front = plane.signed_distance(views.centres) > 0.0
 
     @classmethod
     def of_scene(
@@ -83,10 +88,11 @@ class Renderer:
         scene: Scene,
         largest_side: int | None = None,
         blending: Blending = Blending.UNSTRUCTURED,
+        quality: Quality = Quality.PLANE,
         threads: int | None = None,
     ) -> "Renderer":
         """A renderer of a scene's photos, area-averaged to ``largest_side`` pixels at most."""
-        return cls(views_of_scene(scene, largest_side), scene.plane, blending, threads)
+        return cls(views_of_scene(scene, largest_side), scene.plane, blending, quality, threads)
 
     def render(self, world_from_camera: FloatArray, intrinsics: Intrinsics) -> Rendering:
         """Renders one virtual view.
@@ -98,8 +104,18 @@ class Renderer:
         shape = (intrinsics.height, intrinsics.width)
         image = np.empty((*shape, 3), dtype=np.float32)
         covered = np.empty(shape, dtype=np.bool_)
-        pose = np.ascontiguousarray(world_from_camera, dtype=np.float64)
-        render_view(pose, intrinsics.vector(), *self._light_field, image, covered)
+        render_view(
+            np.ascontiguousarray(world_from_camera, dtype=np.float64),
+            intrinsics.vector(),
+            int(self.blending),
+            self._cell_size(intrinsics),
+            self._usual_inverse_depth,
+            self.plane.coefficients(),
+            self._in_front,
+            self.views.arrays,
+            image,
+            covered,
+        )
         return Rendering(np.rint(image).astype(np.uint8), covered)
 
     def costs(
@@ -132,14 +148,18 @@ class Renderer:
             )
         poses = np.ascontiguousarray(world_from_camera, dtype=np.float64)
         target = np.ascontiguousarray(query, dtype=np.float32)
-        vector = intrinsics.vector()
         costs = np.empty(len(poses))
         tasks = [
             self._pool.submit(
                 _score_poses,
                 poses[start : start + POSES_PER_TASK],
-                vector,
-                *self._light_field,
+                intrinsics.vector(),
+                int(self.blending),
+                self._cell_size(intrinsics),
+                self._usual_inverse_depth,
+                self.plane.coefficients(),
+                self._in_front,
+                self.views.arrays,
                 target,
                 int(cost),
                 fit_gain,
@@ -151,19 +171,23 @@ class Renderer:
             task.result()
         return costs
 
+    def _cell_size(self, intrinsics: Intrinsics) -> float:
+        """Side of the surface's cells in virtual pixels; 0 stands for the plane."""
+        if self.quality is Quality.PLANE:
+            return 0.0
+        return cell_size(self.views, intrinsics, self.quality)
+
 
 @compiled
 def _score_poses(
     poses: FloatArray,
     intrinsics: FloatArray,
     blending: int,
+    cell: float,
+    usual_inverse_depth: float,
     plane: FloatArray,
     view_is_in_front: BoolArray,
-    projection: FloatArray,
-    centres: FloatArray,
-    texels: ImageArray,
-    level_start: IntArray,
-    level_size: IntArray,
+    views: ViewArrays,
     query: Float32Array,
     kind: int,
     fit_gain: bool,
@@ -177,13 +201,11 @@ def _score_poses(
             poses[index],
             intrinsics,
             blending,
+            cell,
+            usual_inverse_depth,
             plane,
             view_is_in_front,
-            projection,
-            centres,
-            texels,
-            level_start,
-            level_size,
+            views,
             image,
             covered,
         )

@@ -14,7 +14,7 @@ triangulation in any case, and the Delaunay triangulation to within rounding.
 import numpy as np
 
 from pipelines.artifacts.array_types import BoolArray, FloatArray, IntArray
-from pipelines.lightfield.compiled import compiled
+from pipelines.lightfield.compiled import compiled, compiled_leaf
 from pipelines.lightfield.net import SMALLEST_AREA
 
 GHOST = -1
@@ -59,7 +59,7 @@ def delaunay(points: FloatArray, triangles: IntArray) -> int:
     return total
 
 
-@compiled
+@compiled_leaf
 def turn(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
     """Twice the signed area of a triangle, positive when a, b, c turn from x towards y.
 
@@ -73,7 +73,7 @@ def turn(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
     return float(area) if abs(area) > SMALLEST_AREA * longest else 0.0
 
 
-@compiled
+@compiled_leaf
 def _conflicts(points: FloatArray, triangle: IntArray, p: FloatArray) -> bool:
     """Whether p lies in the circumcircle of a triangle (for a ghost: beyond its hull edge)."""
     if triangle[2] == GHOST:
@@ -94,7 +94,7 @@ def _conflicts(points: FloatArray, triangle: IntArray, p: FloatArray) -> bool:
     return bool(determinant > 0.0)
 
 
-@compiled
+@compiled_leaf
 def _depth_inside(points: FloatArray, triangle: IntArray, p: FloatArray) -> float:
     """How far p lies inside a triangle, relative to its sides; negative outside."""
     sides = 1 if triangle[2] == GHOST else 3
@@ -190,7 +190,7 @@ def _row_behind_hidden_edge(
     return -1
 
 
-@compiled
+@compiled_leaf
 def _touches_region(triangle: IntArray, edges: IntArray, edge_count: int) -> bool:
     """Whether a triangle shares an edge with a region that is known by its rim."""
     for i in range(3):
@@ -201,7 +201,7 @@ def _touches_region(triangle: IntArray, edges: IntArray, edge_count: int) -> boo
     return False
 
 
-@compiled
+@compiled_leaf
 def _add_to_region(triangle: IntArray, edges: IntArray, edge_count: int) -> int:
     """Adds a triangle to a region that is known by its rim; returns the rim's number of edges."""
     for i in range(3):

@@ -7,11 +7,12 @@ parametrics").
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray, ImageArray, IntArray
+from pipelines.artifacts.array_types import Float32Array, FloatArray, ImageArray, IntArray
 from pipelines.artifacts.progress import Progress, no_progress
 from pipelines.geometry.camera import Camera, Intrinsics, Undistorter
 from pipelines.geometry.pose import inverse
@@ -20,41 +21,84 @@ from pipelines.lightfield.scene import Scene
 SMALLEST_LEVEL_SIDE = 8
 
 
-@dataclass(frozen=True)
-class Views:
-    """N posed pinhole photos with their pyramids.
+class ViewArrays(NamedTuple):
+    """The numbers of N posed pinhole photos, in the form that compiled code takes.
 
     Attributes:
         texels: ``(T, 4)`` uint8, RGB and a pad byte (a pixel is one aligned 32-bit read): all
-            levels of all views, row by row.
+            pyramid levels of all views, row by row.
         level_start: ``(N, L)`` index of a level's first texel.
         level_size: ``(N, L, 2)`` width and height of each level; level 0 is the finest. Views with
             fewer levels repeat their last one.
-        intrinsics: pinhole intrinsics of level 0 of each view.
         projection: ``(N, 3, 4)`` world points to homogeneous pixels of level 0.
+        rays: ``(N, 3, 3)`` homogeneous pixels of level 0 to world directions whose length along the
+            optical axis is 1.
         centres: ``(N, 3)`` recording centres, world coordinates.
+        axes: ``(N, 3)`` optical axes.
+        focal: ``(N,)`` mean focal length of level 0, pixels.
+        inverse_depth: ``(D,)`` 1 / metres along the optical axis, all views' depth maps row by row;
+            0 where unknown; empty where there are none.
+        depth_start: ``(N,)`` index of a view's first value.
+        depth_size: ``(N, 2)`` width and height of each view's depth map; 0 where it has none.
     """
 
     texels: ImageArray
     level_start: IntArray
     level_size: IntArray
-    intrinsics: tuple[Intrinsics, ...]
     projection: FloatArray
+    rays: FloatArray
     centres: FloatArray
+    axes: FloatArray
+    focal: FloatArray
+    inverse_depth: Float32Array
+    depth_start: IntArray
+    depth_size: IntArray
+
+
+@dataclass(frozen=True)
+class Views:
+    """N posed pinhole photos with their pyramids and, where known, depth maps.
+
+    Attributes:
+        arrays: their numbers.
+        intrinsics: pinhole intrinsics of level 0 of each view.
+    """
+
+    arrays: ViewArrays
+    intrinsics: tuple[Intrinsics, ...]
 
     def __len__(self) -> int:
-        return len(self.centres)
+        return len(self.intrinsics)
+
+    @property
+    def centres(self) -> FloatArray:
+        """``(N, 3)`` recording centres, world coordinates."""
+        return self.arrays.centres
+
+    @property
+    def has_depth(self) -> bool:
+        """Whether any view has a depth map."""
+        return len(self.arrays.inverse_depth) > 0
 
     def level(self, view: int, level: int) -> ImageArray:
         """``(height, width, 3)`` RGB of one pyramid level of one view."""
-        width, height = self.level_size[view, level]
-        start = self.level_start[view, level]
-        flat = self.texels[start : start + width * height]
+        width, height = self.arrays.level_size[view, level]
+        start = self.arrays.level_start[view, level]
+        flat = self.arrays.texels[start : start + width * height]
         return flat.reshape(height, width, 4)[..., :3]
+
+    def depth_map(self, view: int) -> Float32Array:
+        """``(height, width)`` inverse depth of one view; empty where it has none."""
+        width, height = self.arrays.depth_size[view]
+        start = self.arrays.depth_start[view]
+        return self.arrays.inverse_depth[start : start + width * height].reshape(height, width)
 
 
 def build_views(
-    images: Sequence[ImageArray], intrinsics: Sequence[Intrinsics], world_from_camera: FloatArray
+    images: Sequence[ImageArray],
+    intrinsics: Sequence[Intrinsics],
+    world_from_camera: FloatArray,
+    inverse_depths: Sequence[Float32Array] | None = None,
 ) -> Views:
     """Builds the pyramids of pinhole photos.
 
@@ -62,7 +106,29 @@ def build_views(
         images: N images ``(height, width, 3)``, RGB.
         intrinsics: of each image.
         world_from_camera: ``(N, 4, 4)``.
+        inverse_depths: N depth maps ``(h, w)`` of the same fields of view, of any size; 0: unknown.
     """
+    texels, level_start, level_size = _packed_pyramids(images)
+    inverse_depth, depth_start, depth_size = _packed_depths(len(images), inverse_depths)
+    matrices = np.stack([pinhole.matrix() for pinhole in intrinsics])
+    arrays = ViewArrays(
+        texels=texels,
+        level_start=level_start,
+        level_size=level_size,
+        projection=np.ascontiguousarray(matrices @ inverse(world_from_camera)[:, :3, :]),
+        rays=np.ascontiguousarray(world_from_camera[:, :3, :3] @ np.linalg.inv(matrices)),
+        centres=np.ascontiguousarray(world_from_camera[:, :3, 3]),
+        axes=np.ascontiguousarray(world_from_camera[:, :3, 2]),
+        focal=np.array([0.5 * (pinhole.fx + pinhole.fy) for pinhole in intrinsics]),
+        inverse_depth=inverse_depth,
+        depth_start=depth_start,
+        depth_size=depth_size,
+    )
+    return Views(arrays, tuple(intrinsics))
+
+
+def _packed_pyramids(images: Sequence[ImageArray]) -> tuple[ImageArray, IntArray, IntArray]:
+    """Texels, starts and sizes of all levels of all images; see ``ViewArrays``."""
     pyramids = [_pyramid(image) for image in images]
     level_count = max(len(pyramid) for pyramid in pyramids)
     level_start = np.zeros((len(pyramids), level_count), dtype=np.int64)
@@ -76,16 +142,33 @@ def build_views(
             level_size[view, level:] = width, height
             texels[position : position + width * height, :3] = image.reshape(-1, 3)
             position += width * height
-    camera_from_world = inverse(world_from_camera)
-    matrices = np.stack([pinhole.matrix() for pinhole in intrinsics])
-    return Views(
-        texels,
-        level_start,
-        level_size,
-        tuple(intrinsics),
-        matrices @ camera_from_world[:, :3, :],
-        np.ascontiguousarray(world_from_camera[:, :3, 3]),
+    return texels, level_start, level_size
+
+
+def _packed_depths(
+    count: int, inverse_depths: Sequence[Float32Array] | None
+) -> tuple[Float32Array, IntArray, IntArray]:
+    """Values, starts and sizes of all depth maps; see ``ViewArrays``."""
+    start, size = np.zeros(count, dtype=np.int64), np.zeros((count, 2), dtype=np.int64)
+    if inverse_depths is None:
+        return np.zeros(0, dtype=np.float32), start, size
+    position = 0
+    for view, depth in enumerate(inverse_depths):
+        start[view] = position
+        size[view] = depth.shape[1], depth.shape[0]
+        position += depth.size
+    values = np.concatenate([depth.reshape(-1) for depth in inverse_depths]).astype(np.float32)
+    return values, start, size
+
+
+def without_depth(views: Views) -> Views:
+    """The same photos as if they had no depth maps."""
+    arrays = views.arrays._replace(
+        inverse_depth=views.arrays.inverse_depth[:0],
+        depth_start=np.zeros_like(views.arrays.depth_start),
+        depth_size=np.zeros_like(views.arrays.depth_size),
     )
+    return Views(arrays, views.intrinsics)
 
 
 def views_of_scene(
