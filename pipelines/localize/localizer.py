@@ -101,7 +101,7 @@ class Localizer:
                 scene,
                 VIEW_RESOLUTION_FACTOR * settings.fine_width,
                 settings.blending,
-                settings.threads,
+                threads=settings.threads,
             )
         self._renderer = renderer
         self._belief = self._start(scene)
