@@ -6,17 +6,73 @@ and fewest see through.
 """
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import cv2
 import numpy as np
 
 from pipelines.artifacts.array_types import FloatArray, IntArray
+from pipelines.artifacts.errors import OptionError
+from pipelines.artifacts.progress import Progress, no_progress
 from pipelines.geometry.pose import inverse
 from pipelines.lightfield import depth_fusion_kernels
 from pipelines.lightfield.depth import DepthMap, DepthSettings
+from pipelines.lightfield.depth_completion import complete_depth
 
+# How often all views are compared: the second time they compare what the first has mended.
+ROUNDS = 2
 # What a neighbour's depth counts where it is not confident itself.
 UNSURE_TRUST = 0.5
+
+
+def refine_depth_maps(
+    maps: Sequence[DepthMap],
+    world_from_camera: FloatArray,
+    neighbours: Sequence[IntArray],
+    settings: DepthSettings,
+    workers: int = 1,
+    progress: Progress = no_progress,
+) -> tuple[DepthMap, ...]:
+    """Depth maps that agree with each other: fused in rounds, then completed.
+
+    Args:
+        maps: of the N views, as ``estimate_depth`` found them.
+        world_from_camera: ``(N, 4, 4)``.
+        neighbours: of each view, as ``choose_neighbours`` found them.
+        settings: how.
+        workers: threads; their number does not change the result.
+        progress: told how far the work is.
+
+    Returns:
+        For each view depth everywhere; confident where enough neighbours see the same surface.
+
+    Raises:
+        OptionError: not as many maps as poses and neighbours.
+    """
+    if not len(maps) == len(world_from_camera) == len(neighbours):
+        raise OptionError(
+            f"{len(maps)} depth maps, {len(world_from_camera)} poses and {len(neighbours)} lists "
+            "of neighbours do not belong together"
+        )
+    current = tuple(maps)
+    with ThreadPoolExecutor(max_workers=max(1, workers)) as pool:
+        for number in range(ROUNDS):
+            fuse = partial(_fuse_view, current, world_from_camera, neighbours, settings)
+            fused = pool.map(fuse, range(len(current)))
+            current = tuple(progress(fused, f"fuse depth {number + 1}/{ROUNDS}", len(current)))
+        completed = pool.map(complete_depth, current)
+        return tuple(progress(completed, "complete depth", len(current)))
+
+
+def _fuse_view(
+    maps: Sequence[DepthMap],
+    world_from_camera: FloatArray,
+    neighbours: Sequence[IntArray],
+    settings: DepthSettings,
+    view: int,
+) -> DepthMap:
+    return fuse_depth(maps, world_from_camera, view, neighbours[view], settings)
 
 
 def fuse_depth(
@@ -65,8 +121,9 @@ def fuse_depth(
             )
     chosen, votes = np.empty(shape[1:], np.float32), np.empty(shape[1:], np.float32)
     depth_fusion_kernels.choose(candidates, support, violation, settings.agreement, chosen, votes)
+    supporters = max(1, min(settings.supporters, len(neighbours)))
     smooth = np.asarray(cv2.medianBlur(chosen, 3), dtype=np.float32)
-    return DepthMap(smooth, votes >= min(settings.supporters, len(neighbours)), own.intrinsics)
+    return DepthMap(smooth, votes >= supporters, own.intrinsics)
 
 
 def _pixel_mapping(

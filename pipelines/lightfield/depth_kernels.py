@@ -229,6 +229,16 @@ def _step(
 
 
 @compiled
+def _first_step(cost: Float32Array, after: Float32Array) -> np.float32:
+    """The beginning of a path: copies the costs ``(D + 2,)`` and returns the minimum."""
+    least = _FAR
+    for d in range(1, len(cost) - 1):
+        after[d] = cost[d]
+        least = min(least, cost[d])
+    return np.float32(least)
+
+
+@compiled
 def _load_row(volume: ImageArray, y: int, costs: Float32Array) -> None:
     """Row y of the volume ``(D, H, W)`` as ``(W, D + 2)``."""
     for d in range(volume.shape[0]):
@@ -263,8 +273,7 @@ def _path_row(
             from_x = x - back if path == 0 else x + path - 2
             from_y = y if path == 0 else y - back
             if from_x < 0 or from_x >= width or from_y < 0 or from_y >= height:
-                current[path, x, 1:-1] = costs[x, 1:-1]
-                current_least[path, x] = np.min(costs[x, 1:-1])
+                current_least[path, x] = _first_step(costs[x], current[path, x])
                 continue
             step = abs(grey[y, x] - grey[from_y, from_x])
             jump = max(large / (_ONE + step / contrast), floor)
@@ -283,7 +292,7 @@ def aggregate(
     index: Float32Array,
     total: Float32Array,
 ) -> None:
-    """Semi-global matching along eight paths, winner takes all, and a parabola through it.
+    """Semi-global matching along eight paths, winner takes all, between planes.
 
     Args:
         volume: ``(D, H, W)`` costs.
@@ -332,14 +341,16 @@ def aggregate(
 
 @compiled
 def _lowest(values: Float32Array) -> np.float32:
-    """Index of the smallest value, with the fraction of a parabola through its neighbours."""
+    """Index of the smallest value, with a fraction from its neighbours."""
     best = 0
     for d in range(1, len(values)):
         if values[d] < values[best]:
             best = d
     if best == 0 or best == len(values) - 1:
         return np.float32(best)
-    bend = values[best - 1] - _TWO * values[best] + values[best + 1]
-    if bend <= _ZERO:
+    before, after = values[best - 1] - values[best], values[best + 1] - values[best]
+    if before <= _ZERO and after <= _ZERO:
         return np.float32(best)
-    return np.float32(best + _HALF * (values[best - 1] - values[best + 1]) / bend)
+    # Sums of absolute differences rise linearly on both sides: two lines of equal slope, no
+    # parabola, which would be drawn towards the planes.
+    return np.float32(best + _HALF * (before - after) / max(before, after))

@@ -1,0 +1,49 @@
+"""Depth where no neighbouring view confirms any: the surfaces around it are carried on.
+
+What only one photo shows has no parallax. A floor or a wall mostly goes on as it was, so planes are
+fitted at the rim of the unconfirmed region and extended into it.
+"""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from pipelines.artifacts.array_types import BoolArray, Float32Array
+from pipelines.lightfield import depth_completion_kernels
+from pipelines.lightfield.depth import DepthMap
+
+# Specks of confidence smaller than half of this window, in pixels, are no surface to start from.
+SPECK_SIZE = 7
+# Standard deviation, in pixels, of the smoothing that removes the traces of single directions.
+SMOOTHING = 5.0
+
+
+def complete_depth(depth_map: DepthMap) -> DepthMap:
+    """Replaces depth that is not confident by that of the surfaces around it.
+
+    Returns:
+        Depth everywhere, unchanged where it is still confident; a map without any confident pixel
+        keeps its depth.
+    """
+    confident = depth_map.confident.astype(np.uint8)
+    known = np.asarray((cv2.medianBlur(confident, SPECK_SIZE) > 0) & depth_map.confident)
+    if not np.any(known):
+        return replace(depth_map, confident=known)
+    carried = np.empty_like(depth_map.inverse_depth)
+    depth_completion_kernels.carry_on(
+        depth_map.inverse_depth,
+        known,
+        ~known,
+        depth_completion_kernels.DIRECTIONS,
+        carried,
+    )
+    return replace(depth_map, inverse_depth=_smooth(carried, ~known), confident=known)
+
+
+def _smooth(values: Float32Array, where: BoolArray) -> Float32Array:
+    """Gaussian mean of the pixels of a region among themselves; the others stay as they are."""
+    inside = where.astype(np.float32)
+    total = cv2.GaussianBlur(values * inside, (0, 0), SMOOTHING)
+    weight = cv2.GaussianBlur(inside, (0, 0), SMOOTHING)
+    return np.where(where, total / np.maximum(weight, np.float32(1e-6)), values).astype(np.float32)
