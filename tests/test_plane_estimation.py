@@ -1,6 +1,7 @@
-"""The plane from sparse points and from photos, against planes that are known."""
+"""The plane from sparse points and from photos, against planes that are known.
 
-from pathlib import Path
+The sample data's wall: see ``test_model_and_render_commands``.
+"""
 
 import numpy as np
 import pytest
@@ -8,21 +9,16 @@ import pytest
 from pipelines.artifacts.array_types import FloatArray
 from pipelines.artifacts.errors import StageError
 from pipelines.artifacts.progress import no_progress
-from pipelines.dataset.dataset import load_dataset
-from pipelines.geometry.camera import Undistorter
 from pipelines.geometry.plane import Plane, angle_between, plane_from_coefficients
 from pipelines.lightfield.plane_estimation import (
-    FINE_WIDTH,
     MIN_POINTS,
     fit_plane,
     plane_from_photos,
     plane_from_points,
 )
-from pipelines.lightfield.views import Views, build_views, shrink
-from pipelines.reconstruct.known_poses import poses_from_odometry
+from pipelines.lightfield.views import Views, build_views
 from tests.lightfield_samples import WALL, looking, photographed, pinhole
 
-SAMPLES = Path(__file__).parents[1] / "sample_data"
 TILTED = plane_from_coefficients([0.3, -1.0, 0.05, 0.4])
 
 
@@ -74,7 +70,7 @@ def test_points_with_outliers(truth: Plane, outliers: int) -> None:
 def test_uncertainty_from_points_is_the_spread_of_the_estimates() -> None:
     estimates, sigmas = [], []
     middle = np.median(cameras()[:, :3, 3], axis=0)
-    for seed in range(60):
+    for seed in range(40):
         points = points_on(TILTED, 80, 0.01, np.random.default_rng(seed))
         estimate = plane_from_points(points, cameras(), np.random.default_rng(0))
         distance = estimate.plane.signed_distance(middle) - TILTED.signed_distance(middle)
@@ -199,29 +195,7 @@ def test_photos_in_all_directions_are_refused_with_advice() -> None:
 def test_photos_that_agree_on_nothing_are_refused_with_advice() -> None:
     generator = np.random.default_rng(0)
     poses = cameras(5)
-    noise = [generator.integers(0, 256, (60, 80, 3)).astype(np.uint8) for _ in poses]
-    views = build_views(noise, [pinhole(80, 60, 70.0)] * 5, poses)
+    noise = [generator.integers(0, 256, (45, 60, 3)).astype(np.uint8) for _ in poses]
+    views = build_views(noise, [pinhole(60, 45, 52.0)] * 5, poses)
     with pytest.raises(StageError, match=r"do not agree.*--plane a,b,c,d"):
         plane_from_photos(views, poses, no_progress)
-
-
-def test_elevators_wall_from_odometry_and_photos() -> None:
-    """The bound that the project promises: 8 cm and 1.5 degrees of y = 0, at the wall."""
-    data = load_dataset(SAMPLES / "elevators" / "map")
-    known = poses_from_odometry(data)
-    assert data.camera is not None
-    undistorter = Undistorter(data.camera)
-    pairs = [
-        shrink(undistorter(data.read_image(int(i))), undistorter.intrinsics, FINE_WIDTH)
-        for i in known.image_index
-    ]
-    images, intrinsics = zip(*pairs, strict=True)
-    views = build_views(images, intrinsics, known.world_from_camera)
-    estimate = plane_from_photos(views, known.world_from_camera, no_progress)
-    assert angle_between(estimate.plane, WALL) < np.radians(1.5)
-    assert estimate.plane.normal[1] < 0.0
-    # Over the length of the wall that the photos show, at the height of the camera.
-    for x in (-2.5, -1.2, 0.0):
-        assert abs(float(estimate.plane.signed_distance([x, 0.0, 1.0]))) < 0.08
-    assert 0.0 < estimate.offset_sigma < 0.2
-    assert 0.0 < estimate.angle_sigma < np.radians(5.0)
