@@ -124,7 +124,7 @@ def print_summary(summary: "Summary", as_json: bool = False) -> None:
 
 
 def format_table(rows: Sequence[Sequence[str]]) -> str:
-    """Names to the left, figures (from three columns on) to the right, a rule below the headings."""
+    """Names to the left; figures, from three columns on, to the right; a rule below the head."""
     if not rows:
         return ""
     columns = max(len(row) for row in rows)

@@ -97,6 +97,11 @@ def _parse_init(
     show_default=True,
     help="How views are blended: by viewing angle, or by the paper's net of triangles.",
 )
+@click.option(
+    "--quality",
+    type=click.Choice(["plane", "coarse", "medium", "fine"]),
+    help="How finely the surface follows the depth maps. Default: medium; plane without them.",
+)
 @click.option("--width", type=int, default=40, show_default=True, help="Pixels across compared.")
 @click.option("--threads", type=int, help="Default: all processors.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Random seed.")
@@ -117,6 +122,7 @@ def command(
     resampling: str | None,
     estimate: str | None,
     blending: str,
+    quality: str | None,
     width: int,
     threads: int | None,
     seed: int,
@@ -149,6 +155,7 @@ def command(
         resampling=resampling or ("multinomial" if is_paper else "systematic"),
         estimate=estimate or ("max_weight" if is_paper else "mode"),
         blending=Blending[blending.upper()],
+        quality=quality,
         coarse_width=max(4, min(20, width)),
         fine_width=width,
         threads=threads,

@@ -24,10 +24,17 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--geometry",
-    type=click.Choice(["plane"]),
+    type=click.Choice(["plane", "depth"]),
     default="plane",
     show_default=True,
     help="What stands for the scene's surface.",
+)
+@click.option(
+    "--depth",
+    type=click.Choice(["photos", "given"]),
+    default="photos",
+    show_default=True,
+    help="With --geometry depth: computed from the photos, or the data set's depth images.",
 )
 @click.option(
     "--plane",
@@ -48,6 +55,7 @@ def command(
     reconstruction: Path,
     output: Path,
     geometry: str,
+    depth: str,
     plane: tuple[float, ...] | None,
     images: Path | None,
     seed: int,
@@ -57,16 +65,19 @@ def command(
 ) -> None:
     """Turns the folder RECONSTRUCTION into a light-field scene model.
 
-    The scene's surface is one plane. It is estimated from the sparse points where the
-    reconstruction has some, else from the photos: the plane over which they agree best.
+    The scene's surface is one plane, or with --geometry depth a depth map for every photo. The
+    plane is estimated from the sparse points where the reconstruction has some, else from the
+    photos: the plane over which they agree best. Depth maps that are finished when the command is
+    stopped are not computed again.
 
     \b
     Example:
       lfnav model out/elevators -o out/elevators.h5
       lfnav model out/elevators -o out/elevators.h5 --plane 0,1,0,0
+      lfnav model out/workshop -o out/workshop.h5 --geometry depth
     """
     from pipelines.lightfield.stage import ModelSettings, model
 
-    settings = ModelSettings(geometry=geometry, plane=plane, images=images, seed=seed)
+    settings = ModelSettings(geometry=geometry, depth=depth, plane=plane, images=images, seed=seed)
     summary = model(reconstruction, output, settings, overwrite=overwrite, progress=progress)
     print_summary(summary, as_json)

@@ -46,6 +46,11 @@ if TYPE_CHECKING:
     show_default=True,
     help="How views are blended: by viewing angle, or by the paper's net of triangles.",
 )
+@click.option(
+    "--quality",
+    type=click.Choice(["plane", "coarse", "medium", "fine"]),
+    help="How finely the surface follows the depth maps. Default: fine; plane without them.",
+)
 @click.option("--fps", type=float, default=10.0, show_default=True, help="Of a video.")
 @overwrite_option
 @json_option
@@ -57,6 +62,7 @@ def command(
     poses: Path | None,
     width: int | None,
     blending: str,
+    quality: str | None,
     fps: float,
     overwrite: bool,
     as_json: bool,
@@ -79,6 +85,7 @@ def command(
         poses=poses,
         width=width,
         blending=Blending[blending.upper()],
+        quality=quality,
         frames_per_second=fps,
     )
     summary = render(scene, output, settings, overwrite=overwrite, progress=progress)

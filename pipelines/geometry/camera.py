@@ -191,3 +191,10 @@ class Undistorter:
             cv2.remap(image, *self._maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),
             dtype=np.uint8,
         )
+
+    def nearest(self, values: Float32Array) -> Float32Array:
+        """Like calling it, for an ``(height, width)`` array of which no means may be taken."""
+        if self._maps is None:
+            return values
+        resampled = cv2.remap(values, *self._maps, cv2.INTER_NEAREST, borderValue=0.0)
+        return np.asarray(resampled, dtype=np.float32)

@@ -2,17 +2,21 @@
 
 Layout: ``scene`` (JSON: names, cameras, surface, scale source, provenance), ``timestamps``,
 ``camera_index``, ``world_from_camera``, ``bounds``, ``base_from_camera`` where there is one, and a
-dataset a view, ``images/000000`` ..., with the bytes of the photo as recorded.
+dataset a view, ``images/000000`` ..., with the bytes of the photo as recorded. With depth maps
+also, for each view, ``depth/000000/inverse`` (16 bits; times ``depth/000000/scale``: 1 / metres; 0:
+unknown) and ``depth/000000/confident``.
 """
 
 import hashlib
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pipelines.artifacts.array_types import FloatArray, IntArray
+from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray, IntArray
 from pipelines.artifacts.errors import InputError, OptionError
 from pipelines.artifacts.safe_hdf5 import (
     SafeFile,
@@ -26,7 +30,7 @@ from pipelines.artifacts.safe_hdf5 import (
 from pipelines.dataset.images import image_header
 from pipelines.geometry.camera import Camera
 from pipelines.geometry.plane import Plane, plane_from_coefficients
-from pipelines.lightfield.scene import PlaneEstimate, Scene
+from pipelines.lightfield.scene import PlaneEstimate, Scene, SceneDepth
 
 FORMAT = "lfnav scene"
 SCHEMA_VERSION = 1
@@ -60,6 +64,11 @@ def save_scene(
             write_array(file, "base_from_camera", scene.base_from_camera)
         for index, data in enumerate(scene.encoded_images):
             write_array(file, f"images/{index:06d}", np.frombuffer(data, dtype=np.uint8))
+        for index, depth in enumerate(scene.depth):
+            levels, scale = quantised(depth.inverse_depth)
+            write_array(file, f"depth/{index:06d}/inverse", levels, compress=True)
+            write_array(file, f"depth/{index:06d}/scale", np.float64(scale))
+            write_array(file, f"depth/{index:06d}/confident", depth.confident, compress=True)
 
 
 def load_scene(path: Path) -> Scene:
@@ -93,6 +102,21 @@ def scene_provenance(path: Path) -> dict[str, Any]:
     return stored if isinstance(stored, dict) else {}
 
 
+def quantised(inverse_depth: Float32Array) -> tuple[NDArray[np.uint16], float]:
+    """Inverse depth in 16 bits, and the factor that turns them back into 1 / metres.
+
+    The factor is a power of two: what was read is written again as the same bytes.
+    """
+    scale = 2.0 ** math.ceil(math.log2(max(float(inverse_depth.max()), 1e-9) / 65535.0))
+    return np.rint(inverse_depth / scale).astype(np.uint16), scale
+
+
+def as_stored(inverse_depth: Float32Array, confident: BoolArray) -> SceneDepth:
+    """A depth map rounded to what the file keeps of it."""
+    levels, scale = quantised(inverse_depth)
+    return SceneDepth((levels * scale).astype(np.float32), confident)
+
+
 def identifier_of(
     encoded_images: tuple[bytes, ...],
     cameras: Sequence[Camera],
@@ -100,6 +124,7 @@ def identifier_of(
     world_from_camera: FloatArray,
     surface: PlaneEstimate,
     base_from_camera: FloatArray | None,
+    depth: Sequence[SceneDepth] = (),
 ) -> str:
     """Hash of all that decides what a scene looks like; names it across files."""
     digest = hashlib.sha256()
@@ -113,6 +138,9 @@ def identifier_of(
     digest.update(surface.plane.coefficients().astype("<f8").tobytes())
     if base_from_camera is not None:
         digest.update(np.ascontiguousarray(base_from_camera, dtype="<f8").tobytes())
+    for depth_map in depth:
+        digest.update(np.ascontiguousarray(depth_map.inverse_depth, dtype="<f4").tobytes())
+        digest.update(np.ascontiguousarray(depth_map.confident).tobytes())
     return digest.hexdigest()
 
 
@@ -178,7 +206,24 @@ def _scene_of(file: SafeFile, description: Any) -> Scene:
         bounds=file.read_array("bounds", dtype_kind="f", shape=(4,)),
         scale_source=str(description["scale_source"]),
         identifier=str(description["identifier"]),
+        depth=_depth_of(file, count),
     )
+
+
+def _depth_of(file: SafeFile, count: int) -> tuple[SceneDepth, ...]:
+    """The depth maps of all views; none where the file has none."""
+    if not file.has("depth"):
+        return ()
+    maps = []
+    for index in range(count):
+        group = f"depth/{index:06d}"
+        levels = file.read_array(f"{group}/inverse", dtype_kind="u", shape=(None, None))
+        confident = file.read_array(f"{group}/confident", dtype_kind="b", shape=levels.shape)
+        scale = float(file.read_array(f"{group}/scale", dtype_kind="f", shape=()))
+        if not (np.isfinite(scale) and scale > 0.0) or levels.size == 0 or not levels.any():
+            raise InputError(file.path, f"{group} holds no depth")
+        maps.append(SceneDepth((levels * scale).astype(np.float32), confident))
+    return tuple(maps)
 
 
 def _stored_plane(coefficients: Any) -> Plane:
@@ -218,6 +263,7 @@ def _check(path: Path, scene: Scene) -> None:
         scene.world_from_camera,
         scene.surface,
         scene.base_from_camera,
+        scene.depth,
     )
     if actual != scene.identifier:
         raise InputError(path, "was changed after it was written", "make it again")

@@ -10,7 +10,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from pipelines.artifacts.array_types import BoolArray, Float32Array
+from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray
 from pipelines.lightfield.compiled import compiled, compiled_leaf
 
 
@@ -166,3 +166,17 @@ def _gradient(
                     taken = query[other_y, other_x, channel] - query[y, x, channel]
                     total += min(abs(gain * rendered - taken), limit)
     return float(total / (3.0 * GRADIENT_LIMIT * max(count, 1)))
+
+
+@compiled
+def compare_all(
+    kind: int,
+    images: Float32Array,
+    covered: BoolArray,
+    query: Float32Array,
+    fit_gain: bool,
+    costs: FloatArray,
+) -> None:
+    """Writes the costs (B,) of B rendered views (B, H, W, 3); see ``compare``."""
+    for index in range(len(images)):
+        costs[index] = compare(kind, images[index], covered[index], query, fit_gain)

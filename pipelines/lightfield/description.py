@@ -27,6 +27,7 @@ class SceneSummary:
             ("scene", str(self.path)),
             ("views", f"{facts['views']} ({facts['image_megabytes']:.1f} MB as recorded)"),
             ("cameras", cameras_text(self.scene.cameras)),
+            ("depth maps", _depth_text(facts["depth"])),
             ("plane", "{:.4f} x + {:.4f} y + {:.4f} z + {:.4f} = 0".format(*plane["coefficients"])),
             ("plane from", _origin(plane)),
             ("area", "x {:.2f} to {:.2f} m, y {:.2f} to {:.2f} m".format(*bounds)),
@@ -53,6 +54,7 @@ class SceneSummary:
                 "offset_sigma_m": _finite(surface.offset_sigma),
                 "angle_sigma_deg": _finite(float(np.degrees(surface.angle_sigma))),
             },
+            "depth": _depth_facts(scene),
             "bounds_m": scene.bounds.tolist(),
             "headings_deg": [float(headings.min()), float(headings.max())],
             "scale_source": scene.scale_source,
@@ -68,6 +70,30 @@ def describe_scene(path: Path) -> SceneSummary:
         InputError: as ``load_scene``.
     """
     return SceneSummary(path, load_scene(path))
+
+
+def _depth_facts(scene: Scene) -> dict[str, Any] | None:
+    """Size, confident share and median of the depth maps; None where there are none."""
+    if not scene.depth:
+        return None
+    known = np.concatenate([d.inverse_depth[d.inverse_depth > 0.0] for d in scene.depth])
+    height, width = scene.depth[0].inverse_depth.shape
+    return {
+        "width": width,
+        "height": height,
+        "known_share": known.size / sum(d.inverse_depth.size for d in scene.depth),
+        "confident_share": float(np.mean([d.confident.mean() for d in scene.depth])),
+        "median_m": float(1.0 / np.median(known)),
+    }
+
+
+def _depth_text(facts: dict[str, Any] | None) -> str:
+    if facts is None:
+        return "none"
+    return (
+        f"{facts['width']}x{facts['height']}, {facts['known_share']:.0%} of the pixels known, "
+        f"{facts['confident_share']:.0%} confident, median {facts['median_m']:.2f} m"
+    )
 
 
 def _origin(plane: dict[str, Any]) -> str:

@@ -1,7 +1,9 @@
-"""The fast renderer, compiled: one virtual view into a buffer that stays in the processor's cache.
+"""The fast renderer, compiled: the steps that a few virtual views take together.
 
-Same steps and results as ``reference``: surface, mappings, views in the frustum, weights, blend.
-Everything here is a function of its arguments and releases the interpreter lock.
+Same steps and results as ``reference``: mappings, views in the frustum, weights, blend. Each step
+Same steps and results as ``reference``: mappings, views in the frustum, weights, blend. Each is
+compiler would optimise every step again inside the next. Everything here is a function of its
+arguments and releases the interpreter lock.
 """
 
 import numpy as np
@@ -12,11 +14,9 @@ from pipelines.artifacts.array_types import (
     FloatArray,
     IntArray,
 )
-from pipelines.lightfield.blending import VIEWS_PER_TILE
-from pipelines.lightfield.blending_kernels import build_tiles, is_occluded, tile_count
+from pipelines.lightfield.blending_kernels import build_tiles, is_occluded
 from pipelines.lightfield.compiled import compiled, compiled_leaf
 from pipelines.lightfield.net_kernels import build_net, project_centre
-from pipelines.lightfield.proxy_kernels import depth_surface, plane_surface
 from pipelines.lightfield.reference import FRUSTUM_SAMPLES, SMALLEST_WEIGHT
 from pipelines.lightfield.sampling_kernels import add_view, is_inside, locate
 from pipelines.lightfield.views import ViewArrays
@@ -71,85 +71,149 @@ def is_in_frustum(
 
 
 @compiled
-def render_view(
-    pose: FloatArray,
+def prepare(
+    poses: FloatArray,
     intrinsics: FloatArray,
-    blending: int,
-    cell_size: float,
-    usual_inverse_depth: float,
-    plane: FloatArray,
-    view_is_in_front: BoolArray,
-    views: ViewArrays,
-    image: Float32Array,
-    covered: BoolArray,
+    projection: FloatArray,
+    rays: FloatArray,
+    maps: FloatArray,
+    shifts: FloatArray,
 ) -> None:
-    """Renders one virtual view.
+    """Writes, for B virtual cameras, what takes their pixels to world directions and into views.
 
     Args:
-        pose: (4, 4) world_from_camera of the virtual camera.
+        poses: (B, 4, 4) world_from_camera.
         intrinsics: (4,) fx, fy, cx, cy.
-        blending: a ``Blending``.
-        cell_size: of the surface's mesh, virtual pixels; 0: the plane.
-        usual_inverse_depth: median of all depth maps.
-        plane: (4,) unit normal and offset.
-        view_is_in_front: (N,) whether a recording centre lies on the plane's seen side.
-        views: the light field.
-        image: (H, W, 3) receives RGB in 0 to 255, zero where uncovered.
-        covered: (H, W) receives which pixels any view shows.
+        projection: (N, 3, 4), see ``ViewArrays``.
+        rays: (B, 3, 3) receives the directions' matrices.
+        maps: (B, N, 3, 3) and
+        shifts: (B, N, 3) receive the views' mappings, see ``view_mapping``.
     """
-    image[:] = 0.0
-    covered[:] = False
-    count = len(views.centres)
-    rays = np.empty((3, 3))
-    virtual_rays(pose, intrinsics, rays)
-    surface = np.empty(covered.shape)
-    usable = np.ones(count, dtype=np.bool_)
-    if cell_size > 0.0:
-        depth_surface(views, usual_inverse_depth, pose, intrinsics, cell_size, surface)
-    else:
-        plane_surface(pose, rays, plane, surface)
-        usable[:] = view_is_in_front
-    maps, shifts = np.empty((count, 3, 3)), np.empty((count, 3))
-    for view in range(count):
-        view_mapping(views.projection, view, pose, rays, maps, shifts)
-    height, width = covered.shape
-    capacity = max(4 * count + 8, tile_count(width) * tile_count(height))
-    cell_views = np.empty((capacity, VIEWS_PER_TILE), dtype=np.int64)
-    cell_weights = np.empty((capacity, VIEWS_PER_TILE, 4))
-    label = np.empty(covered.shape, dtype=np.int64)
-    if blending == 0:
-        for view in range(count):
-            usable[view] = usable[view] and is_in_frustum(views, view, maps, shifts, surface)
+    for index in range(len(poses)):
+        virtual_rays(poses[index], intrinsics, rays[index])
+        for view in range(len(projection)):
+            view_mapping(projection, view, poses[index], rays[index], maps[index], shifts[index])
+
+
+@compiled
+def net_cells(
+    poses: FloatArray,
+    intrinsics: FloatArray,
+    surfaces: FloatArray,
+    views: ViewArrays,
+    maps: FloatArray,
+    shifts: FloatArray,
+    usable: BoolArray,
+    cell_views: IntArray,
+    cell_weights: FloatArray,
+    labels: IntArray,
+) -> None:
+    """Cells of the Delaunay net in B virtual images; see ``net_kernels.build_net``.
+
+    Args:
+        poses: (B, 4, 4).
+        intrinsics: (4,).
+        surfaces: (B, H, W) virtual inverse depth; 0: none.
+        views: the light field.
+        maps: (B, N, 3, 3).
+        shifts: (B, N, 3).
+        usable: (B, N) which views may take part; those that see nothing of the frustum are taken
+            out.
+        cell_views: (B, c, k) receives the cells' views.
+        cell_weights: (B, c, k, 4) receives their weights.
+        labels: (B, H, W) receives each pixel's cell; -1 everywhere where no view takes part.
+    """
+    for index in range(len(poses)):
+        for view in range(len(views.centres)):
+            usable[index, view] = usable[index, view] and is_in_frustum(
+                views, view, maps[index], shifts[index], surfaces[index]
+            )
         cells = build_net(
             views.centres,
-            pose[:3, 3],
-            pose[:3, :3],
+            poses[index, :3, 3],
+            poses[index, :3, :3],
             intrinsics,
-            usable,
-            cell_views,
-            cell_weights,
-            label,
+            usable[index],
+            cell_views[index],
+            cell_weights[index],
+            labels[index],
         )
-    else:
-        cells = build_tiles(
-            pose, rays, surface, views, usable, maps, shifts, cell_views, cell_weights, label
-        )
-    if cells > 0:
-        _blend(
-            pose,
-            intrinsics,
-            cell_size > 0.0,
-            surface,
+        if cells == 0:
+            labels[index] = -1
+
+
+@compiled
+def tile_cells(
+    poses: FloatArray,
+    rays: FloatArray,
+    surfaces: FloatArray,
+    views: ViewArrays,
+    maps: FloatArray,
+    shifts: FloatArray,
+    usable: BoolArray,
+    cell_views: IntArray,
+    cell_weights: FloatArray,
+    labels: IntArray,
+) -> None:
+    """Cells of the unstructured-lumigraph rule in B virtual images; see ``build_tiles``."""
+    for index in range(len(poses)):
+        build_tiles(
+            poses[index],
+            rays[index],
+            surfaces[index],
             views,
-            usable,
-            maps,
-            shifts,
-            cell_views,
-            cell_weights,
-            label,
-            image,
-            covered,
+            usable[index],
+            maps[index],
+            shifts[index],
+            cell_views[index],
+            cell_weights[index],
+            labels[index],
         )
+
+
+@compiled
+def blend_cells(
+    poses: FloatArray,
+    intrinsics: FloatArray,
+    has_depth: bool,
+    surfaces: FloatArray,
+    views: ViewArrays,
+    maps: FloatArray,
+    shifts: FloatArray,
+    usable: BoolArray,
+    cell_views: IntArray,
+    cell_weights: FloatArray,
+    labels: IntArray,
+    images: Float32Array,
+    covered: BoolArray,
+) -> None:
+    """Renders B virtual views from their cells.
+
+    Args:
+        poses: (B, 4, 4) to
+        labels: as for ``net_cells``; ``has_depth`` says whether depth maps may hide the surface.
+        images: (B, H, W, 3) receives RGB in 0 to 255, zero where uncovered.
+        covered: (B, H, W) receives which pixels any view shows.
+    """
+    images[:] = 0.0
+    covered[:] = False
+    for index in range(len(poses)):
+        if labels[index, 0, 0] >= 0:
+            _blend(
+                poses[index],
+                intrinsics,
+                has_depth,
+                surfaces[index],
+                views,
+                usable[index],
+                maps[index],
+                shifts[index],
+                cell_views[index],
+                cell_weights[index],
+                labels[index],
+                images[index],
+                covered[index],
+            )
 
 
 @compiled

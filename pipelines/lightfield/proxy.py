@@ -12,6 +12,7 @@ from enum import IntEnum
 import numpy as np
 
 from pipelines.artifacts.array_types import FloatArray, IntArray
+from pipelines.artifacts.errors import OptionError
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
 from pipelines.geometry.pose import inverse
@@ -25,6 +26,20 @@ class Quality(IntEnum):
     FINE = 1
     MEDIUM = 2
     COARSE = 4
+
+
+def quality_named(name: str | None, has_depth: bool, preferred: Quality) -> Quality:
+    """The quality of a name; None: ``preferred`` where there are depth maps, else the plane.
+
+    Raises:
+        OptionError: unknown name.
+    """
+    if name is None:
+        return preferred if has_depth else Quality.PLANE
+    if name.upper() not in Quality.__members__:
+        known = ", ".join(quality.name.lower() for quality in Quality)
+        raise OptionError(f"quality {name!r} is none of {known}")
+    return Quality[name.upper()]
 
 
 # So many views' depth maps make the surface.

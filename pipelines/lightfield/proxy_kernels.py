@@ -234,3 +234,28 @@ def _interpolated(mesh: FloatArray, x: float, y: float) -> float:
     if lowest > 0.0 and highest <= EDGE_FACTOR * lowest:
         return float((a * (1 - fx) + b * fx) * (1 - fy) + (c * (1 - fx) + d * fx) * fy)
     return float(mesh[top if fy < 0.5 else bottom, left if fx < 0.5 else right])
+
+
+@compiled
+def plane_surfaces(
+    poses: FloatArray, rays: FloatArray, plane: FloatArray, surfaces: FloatArray
+) -> None:
+    """Writes the plane's inverse depth (B, H, W) in B virtual images; see ``plane_surface``."""
+    for index in range(len(poses)):
+        plane_surface(poses[index], rays[index], plane, surfaces[index])
+
+
+@compiled
+def depth_surfaces(
+    views: ViewArrays,
+    usual_inverse_depth: float,
+    poses: FloatArray,
+    intrinsics: FloatArray,
+    spacing: float,
+    surfaces: FloatArray,
+) -> None:
+    """Writes the depth maps' surface (B, H, W) in B virtual images; see ``depth_surface``."""
+    for index in range(len(poses)):
+        depth_surface(
+            views, usual_inverse_depth, poses[index], intrinsics, spacing, surfaces[index]
+        )

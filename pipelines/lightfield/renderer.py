@@ -10,16 +10,18 @@ from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray,
 from pipelines.artifacts.errors import OptionError
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
-from pipelines.lightfield.blending import Blending
-from pipelines.lightfield.comparison import Cost, compare
-from pipelines.lightfield.compiled import compiled
-from pipelines.lightfield.kernels import render_view
+from pipelines.lightfield.blending import VIEWS_PER_TILE, Blending, tile_count
+from pipelines.lightfield.comparison import Cost, compare_all
+from pipelines.lightfield.kernels import blend_cells, net_cells, prepare, tile_cells
 from pipelines.lightfield.proxy import Quality, cell_size, usual_inverse_depth
+from pipelines.lightfield.proxy_kernels import depth_surfaces, plane_surfaces
 from pipelines.lightfield.scene import Scene
-from pipelines.lightfield.views import ViewArrays, Views, views_of_scene, without_depth
+from pipelines.lightfield.views import Views, views_of_scene, without_depth
 
-# Poses that one task of the thread pool works on: few enough to balance, enough to cost no time.
-POSES_PER_TASK = 32
+# So many poses, or pixels, are worked on together: enough to make the calls' cost small, few enough
+# that what one step writes is still in the processor's cache when the next one reads it.
+POSES_TOGETHER = 16
+PIXELS_TOGETHER = 20_000
 
 
 @dataclass(frozen=True)
@@ -101,22 +103,9 @@ class Renderer:
             world_from_camera: ``(4, 4)``.
             intrinsics: of the virtual camera; they also set the size of the image.
         """
-        shape = (intrinsics.height, intrinsics.width)
-        image = np.empty((*shape, 3), dtype=np.float32)
-        covered = np.empty(shape, dtype=np.bool_)
-        render_view(
-            np.ascontiguousarray(world_from_camera, dtype=np.float64),
-            intrinsics.vector(),
-            int(self.blending),
-            self._cell_size(intrinsics),
-            self._usual_inverse_depth,
-            self.plane.coefficients(),
-            self._in_front,
-            self.views.arrays,
-            image,
-            covered,
-        )
-        return Rendering(np.rint(image).astype(np.uint8), covered)
+        poses = np.ascontiguousarray(world_from_camera[None], dtype=np.float64)
+        images, covered = self._render(poses, intrinsics)
+        return Rendering(np.rint(images[0]).astype(np.uint8), covered[0])
 
     def costs(
         self,
@@ -149,64 +138,45 @@ class Renderer:
         poses = np.ascontiguousarray(world_from_camera, dtype=np.float64)
         target = np.ascontiguousarray(query, dtype=np.float32)
         costs = np.empty(len(poses))
-        tasks = [
-            self._pool.submit(
-                _score_poses,
-                poses[start : start + POSES_PER_TASK],
-                intrinsics.vector(),
-                int(self.blending),
-                self._cell_size(intrinsics),
-                self._usual_inverse_depth,
-                self.plane.coefficients(),
-                self._in_front,
-                self.views.arrays,
-                target,
-                int(cost),
-                fit_gain,
-                costs[start : start + POSES_PER_TASK],
-            )
-            for start in range(0, len(poses), POSES_PER_TASK)
-        ]
-        for task in tasks:
-            task.result()
+        together = max(1, min(POSES_TOGETHER, PIXELS_TOGETHER // (query.shape[0] * query.shape[1])))
+
+        def score(start: int) -> None:
+            images, covered = self._render(poses[start : start + together], intrinsics)
+            own = costs[start : start + together]
+            compare_all(int(cost), images, covered, target, fit_gain, own)
+
+        list(self._pool.map(score, range(0, len(poses), together)))
         return costs
 
-    def _cell_size(self, intrinsics: Intrinsics) -> float:
-        """Side of the surface's cells in virtual pixels; 0 stands for the plane."""
-        if self.quality is Quality.PLANE:
-            return 0.0
-        return cell_size(self.views, intrinsics, self.quality)
-
-
-@compiled
-def _score_poses(
-    poses: FloatArray,
-    intrinsics: FloatArray,
-    blending: int,
-    cell: float,
-    usual_inverse_depth: float,
-    plane: FloatArray,
-    view_is_in_front: BoolArray,
-    views: ViewArrays,
-    query: Float32Array,
-    kind: int,
-    fit_gain: bool,
-    costs: FloatArray,
-) -> None:
-    """Renders and compares one pose after the other in one buffer."""
-    image = np.empty(query.shape, dtype=np.float32)
-    covered = np.empty(query.shape[:2], dtype=np.bool_)
-    for index in range(len(poses)):
-        render_view(
-            poses[index],
-            intrinsics,
-            blending,
-            cell,
-            usual_inverse_depth,
-            plane,
-            view_is_in_front,
-            views,
-            image,
-            covered,
-        )
-        costs[index] = compare(kind, image, covered, query, fit_gain)
+    def _render(self, poses: FloatArray, intrinsics: Intrinsics) -> tuple[Float32Array, BoolArray]:
+        """Images ``(B, H, W, 3)`` and their covered pixels ``(B, H, W)`` at poses ``(B, 4, 4)``."""
+        arrays, vector = self.views.arrays, intrinsics.vector()
+        shape = (len(poses), intrinsics.height, intrinsics.width)
+        rays = np.empty((len(poses), 3, 3))
+        maps = np.empty((len(poses), len(self.views), 3, 3))
+        shifts = np.empty((len(poses), len(self.views), 3))
+        prepare(poses, vector, arrays.projection, rays, maps, shifts)
+        surfaces = np.empty(shape)
+        usable = np.ones((len(poses), len(self.views)), dtype=np.bool_)
+        has_depth = self.quality is not Quality.PLANE
+        if has_depth:
+            spacing = cell_size(self.views, intrinsics, self.quality)
+            depth_surfaces(arrays, self._usual_inverse_depth, poses, vector, spacing, surfaces)
+        else:
+            plane_surfaces(poses, rays, self.plane.coefficients(), surfaces)
+            usable[:] = self._in_front
+        cells = 4 * len(self.views) + 8
+        if self.blending is Blending.UNSTRUCTURED:
+            cells = tile_count(shape[1]) * tile_count(shape[2])
+        cell_views = np.empty((len(poses), cells, VIEWS_PER_TILE), dtype=np.int64)
+        cell_weights = np.empty((len(poses), cells, VIEWS_PER_TILE, 4))
+        labels = np.empty(shape, dtype=np.int64)
+        built = (maps, shifts, usable, cell_views, cell_weights, labels)
+        if self.blending is Blending.UNSTRUCTURED:
+            tile_cells(poses, rays, surfaces, arrays, *built)
+        else:
+            net_cells(poses, vector, surfaces, arrays, *built)
+        images = np.empty((*shape, 3), dtype=np.float32)
+        covered = np.empty(shape, dtype=np.bool_)
+        blend_cells(poses, vector, has_depth, surfaces, arrays, *built, images, covered)
+        return images, covered

@@ -8,7 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray, ImageArray, IntArray
+from pipelines.artifacts.array_types import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    ImageArray,
+    IntArray,
+)
 from pipelines.artifacts.errors import InputError
 from pipelines.dataset.images import decode_image
 from pipelines.geometry.camera import Camera
@@ -36,6 +42,19 @@ class PlaneEstimate:
 
 
 @dataclass(frozen=True)
+class SceneDepth:
+    """The depth map of one view: of its undistorted photo, at any size.
+
+    Attributes:
+        inverse_depth: ``(h, w)`` float32, 1 / metres along the optical axis; 0 where unknown.
+        confident: ``(h, w)`` where neighbouring views agree, or a depth camera measured.
+    """
+
+    inverse_depth: Float32Array
+    confident: BoolArray
+
+
+@dataclass(frozen=True)
 class Scene:
     """A light field of N views.
 
@@ -53,6 +72,7 @@ class Scene:
             and see what the views show.
         scale_source: where the metric scale comes from, as the reconstruction states it.
         identifier: hash of the content; a run names the scene that it belongs to by it.
+        depth: a depth map a view; empty where the plane is all that is known of the surface.
     """
 
     image_names: tuple[str, ...]
@@ -66,6 +86,7 @@ class Scene:
     bounds: FloatArray
     scale_source: str
     identifier: str
+    depth: tuple[SceneDepth, ...] = ()
 
     def __len__(self) -> int:
         return len(self.image_names)

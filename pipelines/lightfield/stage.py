@@ -6,14 +6,17 @@ from typing import Any
 
 import numpy as np
 
+from pipelines.artifacts.array_types import ImageArray
 from pipelines.artifacts.atomic import check_output
 from pipelines.artifacts.errors import InputError, OptionError, StageError
 from pipelines.artifacts.progress import Progress
 from pipelines.artifacts.provenance import provenance, sha256_of_bytes, sha256_of_file
 from pipelines.dataset.images import decode_image, read_image_bytes
-from pipelines.geometry.camera import Undistorter
-from pipelines.geometry.plane import plane_from_coefficients
+from pipelines.geometry.camera import Intrinsics, Undistorter
+from pipelines.geometry.plane import Plane, plane_from_coefficients
 from pipelines.lightfield.bundle import identifier_of, save_scene
+from pipelines.lightfield.depth import DepthSettings
+from pipelines.lightfield.depth_maps import depth_from_photos, discard_finished, given_depth
 from pipelines.lightfield.description import SceneSummary
 from pipelines.lightfield.plane_estimation import (
     FINE_WIDTH,
@@ -21,7 +24,7 @@ from pipelines.lightfield.plane_estimation import (
     plane_from_photos,
     plane_from_points,
 )
-from pipelines.lightfield.scene import PlaneEstimate, Scene, covered_bounds
+from pipelines.lightfield.scene import PlaneEstimate, Scene, SceneDepth, covered_bounds
 from pipelines.lightfield.views import build_views, shrink
 from pipelines.reconstruct.reconstruction import (
     DESCRIPTION_NAME,
@@ -29,7 +32,10 @@ from pipelines.reconstruct.reconstruction import (
     load_reconstruction,
 )
 
-GEOMETRIES = ("plane",)
+# Beside the output while depth maps are computed.
+FINISHED_SUFFIX = ".depth-in-progress"
+GEOMETRIES = ("plane", "depth")
+DEPTH_SOURCES = ("photos", "given")
 
 
 @dataclass(frozen=True)
@@ -38,6 +44,7 @@ class ModelSettings:
 
     Attributes:
         geometry: the kind of scene surface, one of ``GEOMETRIES``.
+        depth: where depth maps come from, one of ``DEPTH_SOURCES``.
         plane: a, b, c, d of ``a x + b y + c z + d = 0`` in world coordinates; None: estimated.
         images: folder of the photos where they are no longer where the reconstruction found them.
         seed: of the random samples in the estimation from points.
@@ -47,6 +54,7 @@ class ModelSettings:
     """
 
     geometry: str = "plane"
+    depth: str = "photos"
     plane: tuple[float, ...] | None = None
     images: Path | None = None
     seed: int = 0
@@ -54,6 +62,8 @@ class ModelSettings:
     def __post_init__(self) -> None:
         if self.geometry not in GEOMETRIES:
             raise OptionError(f"geometry {self.geometry!r} is none of {', '.join(GEOMETRIES)}")
+        if self.depth not in DEPTH_SOURCES:
+            raise OptionError(f"depth {self.depth!r} is none of {', '.join(DEPTH_SOURCES)}")
 
 
 def model(
@@ -79,15 +89,28 @@ def model(
     """
     check_output(output, overwrite)
     source = load_reconstruction(reconstruction)
-    scene = build_scene(source, settings, progress)
+    finished = output.with_name(output.name + FINISHED_SUFFIX)
+    scene = build_scene(source, settings, progress, finished)
     inputs = {DESCRIPTION_NAME: sha256_of_file(reconstruction / DESCRIPTION_NAME)}
     options = {name: value for name, value in asdict(settings).items() if name != "images"}
     save_scene(output, scene, overwrite, provenance("model", _plain(options), inputs))
+    discard_finished(finished)
     return SceneSummary(output, scene)
 
 
-def build_scene(source: Reconstruction, settings: ModelSettings, progress: Progress) -> Scene:
+def build_scene(
+    source: Reconstruction,
+    settings: ModelSettings,
+    progress: Progress,
+    finished: Path | None = None,
+) -> Scene:
     """The light field of a reconstruction, in memory.
+
+    Args:
+        source: posed photos.
+        settings: the options.
+        progress: told how far the work is.
+        finished: folder in which finished depth maps are kept until all are done; None: nowhere.
 
     Raises:
         InputError: a photo is missing, or is not the one that was reconstructed.
@@ -105,9 +128,12 @@ def build_scene(source: Reconstruction, settings: ModelSettings, progress: Progr
             )
         encoded.append(data)
     images = tuple(encoded)
-    surface = _surface(source, images, settings, progress)
+    needs_photos = settings.geometry == "depth" and settings.depth == "photos"
+    photos = _Photos(source, images, None if needs_photos else FINE_WIDTH)
+    surface = _surface(source, photos, settings, progress)
     if surface.plane.signed_distance(source.world_from_camera[:, :3, 3]).max() <= 0.0:
         raise StageError("no photo was taken from the front of the plane; check --plane")
+    depth = _depth(source, root, photos, surface.plane, settings, finished, progress)
     cameras = [source.cameras[int(index)] for index in source.camera_index]
     return Scene(
         image_names=source.image_names,
@@ -127,15 +153,42 @@ def build_scene(source: Reconstruction, settings: ModelSettings, progress: Progr
             source.world_from_camera,
             surface,
             source.base_from_camera,
+            depth,
         ),
+        depth=depth,
     )
 
 
+class _Photos:
+    """The photos undistorted, decoded when they are first needed and then kept."""
+
+    def __init__(
+        self, source: Reconstruction, encoded: tuple[bytes, ...], largest_side: int | None
+    ) -> None:
+        self._source = source
+        self._encoded = encoded
+        self._largest_side = largest_side
+        self._decoded: tuple[list[ImageArray], list[Intrinsics]] | None = None
+
+    def decoded(self, progress: Progress) -> tuple[list[ImageArray], list[Intrinsics]]:
+        """Images ``(h, w, 3)`` and their intrinsics."""
+        if self._decoded is None:
+            undistorters = [Undistorter(camera) for camera in self._source.cameras]
+            photos, intrinsics = [], []
+            for index, data in enumerate(
+                progress(self._encoded, "decode photos", len(self._encoded))
+            ):
+                undistorter = undistorters[int(self._source.camera_index[index])]
+                image = undistorter(decode_image(data, self._source.image_names[index]))
+                small, pinhole = shrink(image, undistorter.intrinsics, self._largest_side)
+                photos.append(small)
+                intrinsics.append(pinhole)
+            self._decoded = photos, intrinsics
+        return self._decoded
+
+
 def _surface(
-    source: Reconstruction,
-    images: tuple[bytes, ...],
-    settings: ModelSettings,
-    progress: Progress,
+    source: Reconstruction, photos: _Photos, settings: ModelSettings, progress: Progress
 ) -> PlaneEstimate:
     centres = source.world_from_camera[:, :3, 3]
     if settings.plane is not None:
@@ -144,16 +197,26 @@ def _surface(
     if len(source.points) >= MIN_POINTS:
         rng = np.random.default_rng(settings.seed)
         return plane_from_points(source.points, source.world_from_camera, rng)
-    undistorters = [Undistorter(camera) for camera in source.cameras]
-    photos, intrinsics = [], []
-    for index, data in enumerate(progress(images, "decode photos", len(images))):
-        undistorter = undistorters[int(source.camera_index[index])]
-        image = undistorter(decode_image(data, source.image_names[index]))
-        small, pinhole = shrink(image, undistorter.intrinsics, FINE_WIDTH)
-        photos.append(small)
-        intrinsics.append(pinhole)
-    views = build_views(photos, intrinsics, source.world_from_camera)
+    views = build_views(*photos.decoded(progress), source.world_from_camera)
     return plane_from_photos(views, source.world_from_camera, progress)
+
+
+def _depth(
+    source: Reconstruction,
+    root: Path,
+    photos: _Photos,
+    plane: Plane,
+    settings: ModelSettings,
+    finished: Path | None,
+    progress: Progress,
+) -> tuple[SceneDepth, ...]:
+    """A depth map a view; none where the plane is all that was asked for."""
+    if settings.geometry == "plane":
+        return ()
+    if settings.depth == "given":
+        return given_depth(source, root)
+    images, intrinsics = photos.decoded(progress)
+    return depth_from_photos(source, images, intrinsics, plane, DepthSettings(), finished, progress)
 
 
 def _plain(options: dict[str, Any]) -> dict[str, Any]:

@@ -171,6 +171,21 @@ def without_depth(views: Views) -> Views:
     return Views(arrays, views.intrinsics)
 
 
+def without_view(views: Views, index: int) -> Views:
+    """The same light field without one of its views."""
+    kept = np.arange(len(views)) != index
+    arrays = views.arrays
+    # Texels and depths stay in one piece; nothing points to those of the view any more.
+    fewer = arrays._replace(
+        **{
+            name: np.ascontiguousarray(getattr(arrays, name)[kept])
+            for name in arrays._fields
+            if name not in ("texels", "inverse_depth")
+        }
+    )
+    return Views(fewer, tuple(k for i, k in enumerate(views.intrinsics) if i != index))
+
+
 def views_of_scene(
     scene: Scene, largest_side: int | None = None, progress: Progress = no_progress
 ) -> Views:
@@ -191,7 +206,19 @@ def views_of_scene(
         )
         images.append(image)
         intrinsics.append(pinhole)
-    return build_views(images, intrinsics, scene.world_from_camera)
+    depths = [_shrunk_depth(depth.inverse_depth, largest_side) for depth in scene.depth]
+    return build_views(images, intrinsics, scene.world_from_camera, depths or None)
+
+
+def _shrunk_depth(inverse_depth: Float32Array, largest_side: int | None) -> Float32Array:
+    """A depth map of at most so many pixels; depths are picked, since means lie on no surface."""
+    height, width = inverse_depth.shape
+    if largest_side is None or max(height, width) <= largest_side:
+        return inverse_depth
+    scale = largest_side / max(height, width)
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    resized = cv2.resize(inverse_depth, size, interpolation=cv2.INTER_NEAREST)
+    return np.asarray(resized, dtype=np.float32)
 
 
 def shrink(

@@ -18,6 +18,7 @@ from pipelines.geometry.pose import base_from_camera_mount, world_from_base_plan
 from pipelines.geometry.trajectory import read_tum
 from pipelines.lightfield.blending import Blending
 from pipelines.lightfield.bundle import load_scene
+from pipelines.lightfield.proxy import Quality, quality_named
 from pipelines.lightfield.renderer import Renderer, Rendering
 from pipelines.lightfield.scene import Scene
 
@@ -35,6 +36,7 @@ class RenderSettings:
         poses: TUM file of world_from_base where the scene has a mount, else world_from_camera.
         width: of the images, pixels; None: as the scene's first camera.
         blending: how the light field blends its views.
+        quality: name of a ``Quality``; None: the finest that the scene has depth maps for.
         frames_per_second: of a video.
 
     Raises:
@@ -45,6 +47,7 @@ class RenderSettings:
     poses: Path | None = None
     width: int | None = None
     blending: Blending = Blending.UNSTRUCTURED
+    quality: str | None = None
     frames_per_second: float = 10.0
 
     def __post_init__(self) -> None:
@@ -114,7 +117,8 @@ def render(
     if output.suffix == ".png" and len(poses) != 1:
         raise OptionError(f"{output}: {len(poses)} views do not fit in one PNG; name a folder")
     intrinsics = virtual_intrinsics(scene, settings.width)
-    renderer = Renderer.of_scene(scene, blending=settings.blending)
+    quality = quality_named(settings.quality, bool(scene.depth), Quality.FINE)
+    renderer = Renderer.of_scene(scene, blending=settings.blending, quality=quality)
     renderings = (
         renderer.render(pose, intrinsics) for pose in progress(poses, "render", len(poses))
     )

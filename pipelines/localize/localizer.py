@@ -23,6 +23,7 @@ from pipelines.artifacts.array_types import FloatArray, ImageArray
 from pipelines.artifacts.errors import OptionError
 from pipelines.geometry.camera import Camera, Undistorter
 from pipelines.geometry.pose import wrap_angle
+from pipelines.lightfield.proxy import Quality, quality_named
 from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.belief import (
@@ -101,7 +102,8 @@ class Localizer:
                 scene,
                 VIEW_RESOLUTION_FACTOR * settings.fine_width,
                 settings.blending,
-                threads=settings.threads,
+                quality_named(settings.quality, bool(scene.depth), Quality.MEDIUM),
+                settings.threads,
             )
         self._renderer = renderer
         self._belief = self._start(scene)

@@ -6,6 +6,7 @@ from typing import Any
 
 from pipelines.artifacts.errors import OptionError
 from pipelines.lightfield.blending import Blending
+from pipelines.lightfield.proxy import Quality, quality_named
 from pipelines.localize.likelihood import LIKELIHOODS, Likelihood
 from pipelines.localize.motion import MotionModel
 from pipelines.localize.resampling import SCHEMES
@@ -39,6 +40,7 @@ class LocalizerSettings:
         roughening: how far copies of a particle are spread (coarse_to_fine).
         coarse_width, fine_width: pixels across in the comparison, searching and tracking.
         blending: how the light field blends its views.
+        quality: how finely its surface follows the depth maps; None: ``medium`` where it has some.
         estimate: the estimate that stands for the run.
         threads: of the comparison; None: all processors.
 
@@ -63,6 +65,7 @@ class LocalizerSettings:
     coarse_width: int = 20
     fine_width: int = 40
     blending: Blending = Blending.UNSTRUCTURED
+    quality: str | None = None
     estimate: str = "mode"
     threads: int | None = None
 
@@ -70,6 +73,7 @@ class LocalizerSettings:
         _one_of("strategy", self.strategy, STRATEGIES)
         _one_of("resampling", self.resampling, tuple(SCHEMES))
         _one_of("estimate", self.estimate, ESTIMATES)
+        quality_named(self.quality, has_depth=False, preferred=Quality.MEDIUM)
         _within("number of particles", self.particles, 1, MAX_PARTICLES)
         _within("number of particles at the start", self.start_particles, 1, MAX_PARTICLES)
         if self.is_coarse_to_fine and self.start_particles < self.particles:

@@ -8,6 +8,7 @@ from pipelines.artifacts.atomic import atomic_folder, check_output
 from pipelines.artifacts.errors import InputError, LfnavError, OptionError
 from pipelines.artifacts.progress import Progress, no_progress
 from pipelines.lightfield.bundle import load_scene, scene_provenance
+from pipelines.lightfield.proxy import Quality, quality_named
 from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.run import Run, check_run_belongs_to, load_run, locate_scene
@@ -150,7 +151,14 @@ def _content(
     progress: Progress,
 ) -> Content:
     tracks = tracks_of(run, estimate)
-    maker = ViewMaker(run, Renderer.of_scene(scene, MAX_PICTURE_SIDE))
+    maker = ViewMaker(
+        run,
+        Renderer.of_scene(
+            scene,
+            MAX_PICTURE_SIDE,
+            quality=quality_named(None, bool(scene.depth), Quality.FINE),
+        ),
+    )
     views = {}
     for index in progress(indices, "views", len(indices)):
         odometry = None if tracks.odometry is None else tracks.odometry[index]

@@ -1,0 +1,174 @@
+"""Depth maps for all views of a scene: computed from the photos, or those that the data set has.
+
+Computing takes seconds a view. Finished views are kept in a folder beside the output until all are
+done, under a name that changes with anything that they depend on: after a kill the next call goes
+on where the last one stopped.
+"""
+
+import hashlib
+import io
+import json
+import os
+import shutil
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from pipelines.artifacts.array_types import Float32Array, ImageArray
+from pipelines.artifacts.atomic import write_bytes
+from pipelines.artifacts.errors import InputError
+from pipelines.artifacts.progress import Progress
+from pipelines.dataset.dataset import DEPTH_LIST, load_dataset
+from pipelines.dataset.images import decode_depth, read_image_bytes
+from pipelines.geometry.camera import Intrinsics, Undistorter
+from pipelines.geometry.plane import Plane
+from pipelines.lightfield.bundle import as_stored
+from pipelines.lightfield.depth import DepthMap, DepthSettings, estimate_depth
+from pipelines.lightfield.depth_fusion import fuse_depth
+from pipelines.lightfield.depth_neighbours import choose_neighbours, depth_range
+from pipelines.lightfield.scene import SceneDepth
+from pipelines.lightfield.views import shrink
+from pipelines.reconstruct.reconstruction import Reconstruction
+
+
+def depth_from_photos(
+    source: Reconstruction,
+    photos: Sequence[ImageArray],
+    intrinsics: Sequence[Intrinsics],
+    plane: Plane,
+    settings: DepthSettings,
+    finished: Path | None,
+    progress: Progress,
+) -> tuple[SceneDepth, ...]:
+    """Depth maps from the photos by plane sweep and fusion, on all processors.
+
+    Args:
+        source: poses, sparse points, hashes of the photos.
+        photos: undistorted, ``(h, w, 3)`` RGB.
+        intrinsics: of each.
+        plane: where the depth range is unknown otherwise.
+        settings: of the estimation.
+        finished: folder for finished views; None keeps nothing.
+        progress: told how far the work is.
+
+    Raises:
+        StageError: fewer than two photos, or a view without a neighbour.
+    """
+    poses = source.world_from_camera
+    neighbours = choose_neighbours(
+        poses, intrinsics, plane, source.points, source.observations, settings.neighbours
+    )
+    folder = None if finished is None else finished / _key(source, plane, settings)
+
+    def one(view: int) -> DepthMap:
+        stored = None if folder is None else _load(folder, view)
+        if stored is not None:
+            _, pinhole = shrink(photos[view], intrinsics[view], settings.largest_side)
+            return DepthMap(stored.inverse_depth, stored.confident, pinhole)
+        limits = depth_range(
+            view, poses, intrinsics[view], plane, source.points, source.observations
+        )
+        result = estimate_depth(photos, intrinsics, poses, view, neighbours[view], limits, settings)
+        if folder is not None:
+            _store(folder, view, result)
+        return result
+
+    views = range(len(photos))
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+        maps = list(progress(pool.map(one, views), "depth maps", len(photos)))
+        fused = list(
+            progress(
+                pool.map(
+                    lambda view: fuse_depth(maps, poses, view, neighbours[view], settings), views
+                ),
+                "fuse depth maps",
+                len(photos),
+            )
+        )
+    return tuple(as_stored(depth.inverse_depth, depth.confident) for depth in fused)
+
+
+def discard_finished(finished: Path) -> None:
+    """Removes the folder of finished views, once the scene that needed them is written."""
+    shutil.rmtree(finished, ignore_errors=True)
+
+
+def _key(source: Reconstruction, plane: Plane, settings: DepthSettings) -> str:
+    """Name that changes with anything that the depth maps depend on."""
+    digest = hashlib.sha256(json.dumps([asdict(settings), source.image_hashes]).encode())
+    for array in (source.world_from_camera, source.points, source.observations):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    digest.update(plane.coefficients().tobytes())
+    for camera in source.cameras:
+        digest.update(repr(camera).encode())
+    return digest.hexdigest()[:32]
+
+
+def _store(folder: Path, view: int, depth: DepthMap) -> None:
+    buffer = io.BytesIO()
+    np.savez(buffer, inverse_depth=depth.inverse_depth, confident=depth.confident)
+    write_bytes(folder / f"{view:06d}.npz", buffer.getvalue(), overwrite=True)
+
+
+def _load(folder: Path, view: int) -> SceneDepth | None:
+    """A finished view; None where there is none that can be read: it is then computed again."""
+    path = folder / f"{view:06d}.npz"
+    if not path.is_file():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            return SceneDepth(
+                np.asarray(stored["inverse_depth"], dtype=np.float32),
+                np.asarray(stored["confident"], dtype=np.bool_),
+            )
+    except (OSError, ValueError, KeyError, EOFError):
+        return None
+
+
+def given_depth(source: Reconstruction, root: Path) -> tuple[SceneDepth, ...]:
+    """The depth images of the data set that was reconstructed, as its depth camera measured them.
+
+    Args:
+        source: the posed photos.
+        root: folder of the data set.
+
+    Raises:
+        InputError: the data set has no depth, a depth image is missing, is of another size than
+            its photo, or holds nothing.
+    """
+    dataset = load_dataset(root)
+    if dataset.depth_names is None or dataset.depth_scale is None:
+        missing = DEPTH_LIST if dataset.depth_names is None else "camera.toml"
+        reason = "is missing" if dataset.depth_names is None else "has no depth_scale"
+        raise InputError(root / missing, f"{reason}: depth cannot be taken from the data set")
+    names = dict(zip(dataset.image_names, dataset.depth_names, strict=True))
+    undistorters = [Undistorter(camera) for camera in source.cameras]
+    maps = []
+    for index, image_name in enumerate(source.image_names):
+        name = names.get(image_name)
+        if name is None:
+            raise InputError(root / image_name, "has no depth image in depth.txt")
+        path = root / name
+        values = decode_depth(read_image_bytes(path), path)
+        camera = source.cameras[int(source.camera_index[index])]
+        if values.shape != (camera.height, camera.width):
+            raise InputError(
+                path,
+                f"is {values.shape[1]}x{values.shape[0]}, its photo {camera.width}x{camera.height}",
+                "register depth to the photos",
+            )
+        if not values.any():
+            raise InputError(path, "holds no depth: all values are zero")
+        inverse = _inverse(values.astype(np.float32), dataset.depth_scale)
+        inverse = undistorters[int(source.camera_index[index])].nearest(inverse)
+        maps.append(as_stored(inverse, inverse > 0.0))
+    return tuple(maps)
+
+
+def _inverse(values: Float32Array, depth_scale: float) -> Float32Array:
+    """1 / metres of depth values; 0 where they are 0: unknown."""
+    known = values > 0.0
+    return np.where(known, depth_scale / np.where(known, values, 1.0), 0.0).astype(np.float32)
