@@ -1,8 +1,8 @@
 """The fast renderer, compiled: the steps that a few virtual views take together.
 
 Same steps and results as ``reference``: mappings, views in the frustum, weights, blend. Each step
-Same steps and results as ``reference``: mappings, views in the frustum, weights, blend. Each is
-compiler would optimise every step again inside the next. Everything here is a function of its
+is compiled by itself and works on as many views as fit into the processor's cache: in one piece,
+the compiler would optimise every step again inside the next. Everything here is a function of its
 arguments and releases the interpreter lock.
 """
 
