@@ -83,8 +83,9 @@ def view_of(surface: Surface, pose: FloatArray) -> tuple[FloatArray, ImageArray]
         return surface(pose[:3, 3], np.stack([x, y, np.ones_like(x)], axis=-1))
 
     offsets = (-1 / 3, 0.0, 1 / 3)
-    grey = np.mean([look(columns + u, rows + v)[1] for u in offsets for v in offsets], axis=0)
-    image = np.repeat(np.clip(np.round(grey), 0, 255).astype(np.uint8)[..., None], 3, axis=2)
+    samples = [look(columns + u, rows + v)[1] for u in offsets for v in offsets]
+    grey = np.clip(np.round(np.mean(np.stack(samples), axis=0)), 0, 255).astype(np.uint8)
+    image = np.stack([grey, grey, grey], axis=-1)
     return look(columns, rows)[0], image
 
 

@@ -1,10 +1,10 @@
 """Depth maps from the photos: which surface each pixel of a view shows.
 
 A plane sweep (Collins 1996): the neighbouring photos are warped as if the scene were a plane at one
-of many inverse depths, and compared with the view by a census of small windows, which does not mind
-exposure. At each pixel the best of the neighbours count, since the others may not see the point.
-Semi-global matching (Hirschmueller 2008) then finds depths that are smooth except across edges of
-the image. When all views are done, ``fuse_depth`` compares each with its neighbours.
+of many inverse depths, and compared with the view in small windows, less the grey of their centres,
+so that exposure does not matter. At each pixel the best of the neighbours count, since the others
+may not see the point. Semi-global matching (Hirschmueller 2008) then finds depths that are smooth
+except across edges of the image. When all views are done, ``depth_fusion`` makes them agree.
 """
 
 from collections.abc import Sequence
@@ -66,11 +66,11 @@ class DepthSettings:
     """
 
     largest_side: int = 480
-    planes: int = 96
+    planes: int = 128
     neighbours: int = 8
     best: int = 2
     saturation: float = 20.0
-    step_penalty: float = 8.0
+    step_penalty: float = 6.0
     jump_penalty: float = 110.0
     edge_contrast: float = 10.0
     distinctness: float = 8.0
@@ -132,7 +132,8 @@ def estimate_depth(
     near, far = checked_range(*limits)
     if len(images) < 2 or len(neighbours) == 0:
         raise StageError(f"view {view} has no neighbouring photo to find depth with")
-    reference, pinhole = _grey(images[view], intrinsics[view], settings)
+    grey, pinhole = _grey(images[view], intrinsics[view], settings)
+    reference = grey.astype(np.float32)
     height, width = reference.shape
     levels = np.linspace(1.0 / far, 1.0 / near, settings.planes)
     volume = np.empty((settings.planes, height, width), np.uint8)
@@ -158,10 +159,10 @@ def estimate_depth(
 
 def _grey(
     image: ImageArray, intrinsics: Intrinsics, settings: DepthSettings
-) -> tuple[Float32Array, Intrinsics]:
+) -> tuple[ImageArray, Intrinsics]:
     """Brightness ``(H, W)`` of a photo at working size, and its intrinsics."""
     small, pinhole = shrink(image, intrinsics, settings.largest_side)
-    return cv2.cvtColor(small, cv2.COLOR_RGB2GRAY).astype(np.float32), pinhole
+    return np.asarray(cv2.cvtColor(small, cv2.COLOR_RGB2GRAY), dtype=np.uint8), pinhole
 
 
 def _mapping(
@@ -175,7 +176,7 @@ def _mapping(
 
 def _sweep(
     reference: Float32Array,
-    others: Sequence[tuple[Float32Array, Intrinsics]],
+    others: Sequence[tuple[ImageArray, Intrinsics]],
     mappings: Sequence[tuple[FloatArray, FloatArray]],
     levels: FloatArray,
     volume: ImageArray,
@@ -185,14 +186,15 @@ def _sweep(
     padded = np.pad(reference, RADIUS, mode="edge")
     warped, seen = np.zeros_like(padded), np.empty_like(reference)
     best = np.empty((min(settings.best, len(others)), *reference.shape), np.float32)
-    flat = np.zeros_like(reference)
+    views = []
+    for (grey, pinhole), (rays, shift) in zip(others, mappings, strict=True):
+        texels = np.empty((grey.shape[0] - 1, grey.shape[1] - 1), np.uint32)
+        depth_kernels.pack(grey, texels)
+        views.append((texels, pinhole.matrix() @ rays, pinhole.matrix() @ shift))
     for plane, level in enumerate(levels):
         best[:] = depth_kernels.UNSEEN_COST
-        for (grey, pinhole), (rays, shift) in zip(others, mappings, strict=True):
-            matrix = pinhole.matrix()
-            depth_kernels.warp(
-                grey, matrix @ rays, matrix @ shift, flat, float(level), warped, seen
-            )
+        for texels, rays, shift in views:
+            depth_kernels.warp(texels, rays, shift, float(level), warped, seen)
             depth_kernels.add_view_cost(padded, warped, seen, WINDOW, settings.saturation, best)
         depth_kernels.write_layer(best, volume[plane])
     depth_kernels.fill_unseen(volume)

@@ -9,14 +9,12 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from pipelines.artifacts.array_types import BoolArray, Float32Array
 from pipelines.lightfield import depth_completion_kernels
 from pipelines.lightfield.depth import DepthMap
 
 # Specks of confidence smaller than half of this window, in pixels, are no surface to start from.
 SPECK_SIZE = 7
-# Standard deviation, in pixels, of the smoothing that removes the traces of single directions.
-SMOOTHING = 5.0
+MEDIAN_SIZE = 5
 
 
 def complete_depth(depth_map: DepthMap) -> DepthMap:
@@ -38,12 +36,7 @@ def complete_depth(depth_map: DepthMap) -> DepthMap:
         depth_completion_kernels.DIRECTIONS,
         carried,
     )
-    return replace(depth_map, inverse_depth=_smooth(carried, ~known), confident=known)
-
-
-def _smooth(values: Float32Array, where: BoolArray) -> Float32Array:
-    """Gaussian mean of the pixels of a region among themselves; the others stay as they are."""
-    inside = where.astype(np.float32)
-    total = cv2.GaussianBlur(values * inside, (0, 0), SMOOTHING)
-    weight = cv2.GaussianBlur(inside, (0, 0), SMOOTHING)
-    return np.where(where, total / np.maximum(weight, np.float32(1e-6)), values).astype(np.float32)
+    # Single directions leave streaks. A mean would take them away too, and blur the rim.
+    smooth = np.asarray(cv2.medianBlur(carried, MEDIAN_SIZE), dtype=np.float32)
+    completed = np.where(known, depth_map.inverse_depth, smooth)
+    return replace(depth_map, inverse_depth=completed, confident=known)

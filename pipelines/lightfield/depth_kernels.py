@@ -1,8 +1,8 @@
-"""The compiled parts of ``depth``: warps, census costs, semi-global aggregation.
+"""The compiled parts of ``depth``: warps, costs of windows, semi-global aggregation.
 
-Images are float32 grey, ``(H, W)``; a *padded* image carries ``RADIUS`` more pixels on each side
-(its border repeated), so that a window never leaves the array. Everything here is a function of its
-arguments and releases the interpreter lock.
+A *padded* image is grey, float32, and carries ``RADIUS`` more pixels on each side (its border
+repeated), so that a window never leaves the array. Everything here is a function of its arguments
+and releases the interpreter lock.
 """
 
 import numpy as np
@@ -37,64 +37,79 @@ def _repeat_border(padded: Float32Array) -> None:
 
 
 @compiled
+def pack(image: ImageArray, texels: NDArray[np.uint32]) -> None:
+    """Joins each four neighbouring pixels, so that interpolating between them is one read.
+
+    Args:
+        image: ``(h, w)``.
+        texels: ``(h - 1, w - 1)`` result, from the lowest byte: top left and right, bottom left and
+            right.
+    """
+    height, width = image.shape
+    for y in range(height - 1):
+        for x in range(width - 1):
+            top = np.uint32(image[y, x]) | np.uint32(image[y, x + 1]) << np.uint32(8)
+            bottom = np.uint32(image[y + 1, x]) | np.uint32(image[y + 1, x + 1]) << np.uint32(8)
+            texels[y, x] = np.uint32(top | bottom << np.uint32(16))
+
+
+@compiled
 def warp(
-    image: Float32Array,
+    texels: NDArray[np.uint32],
     rays: FloatArray,
     shift: FloatArray,
-    inverse_depth: Float32Array,
-    offset: float,
+    inverse_depth: float,
     padded: Float32Array,
     seen: Float32Array,
 ) -> None:
-    """Writes a neighbour's image as the reference view would see it.
+    """Writes a neighbour's image as the reference view would see it if all were at one depth.
 
     Args:
-        image: ``(h, w)`` the neighbour's.
+        texels: ``(h - 1, w - 1)`` the neighbour's image, packed.
         rays: ``(3, 3)`` A and ``shift`` ``(3,)`` b: a reference pixel p with inverse depth q lies
             at the neighbour's homogeneous pixel A p + q b.
         shift: see ``rays``.
-        inverse_depth: ``(H, W)``.
-        offset: added to every inverse depth.
+        inverse_depth: of the plane.
         padded: ``(H + 2 RADIUS, W + 2 RADIUS)`` result.
         seen: ``(H, W)`` result: 1 where the neighbour sees the point, else 0.
     """
-    height, width = inverse_depth.shape
-    image_height, image_width = image.shape
-    texels = image.reshape(-1)
-    last_u, last_v = np.float32(image_width - 1), np.float32(image_height - 1)
-    bx, by, bz = np.float32(shift[0]), np.float32(shift[1]), np.float32(shift[2])
-    ax, ay, az = np.float32(rays[0, 0]), np.float32(rays[1, 0]), np.float32(rays[2, 0])
-    more = np.float32(offset)
-    us, vs = np.empty(width, np.float32), np.empty(width, np.float32)
+    height, width = seen.shape
+    last_row, last_column = np.int32(texels.shape[0] - 1), np.int32(texels.shape[1] - 1)
+    last_u, last_v = np.float32(texels.shape[1]), np.float32(texels.shape[0])
+    flat = texels.reshape(-1)
+    matrix = rays.astype(np.float32)
+    across, down = np.empty(width, np.float32), np.empty(width, np.float32)
+    place, four = np.empty(width, np.uint32), np.empty(width, np.uint32)
     for y in range(height):
-        rx = np.float32(rays[0, 1] * y + rays[0, 2])
-        ry = np.float32(rays[1, 1] * y + rays[1, 2])
-        rz = np.float32(rays[2, 1] * y + rays[2, 2])
-        inverse_row, seen_row = inverse_depth[y], seen[y]
-        # First where to look, then looking: the first loop is done several pixels at a time.
+        start_u = np.float32(rays[0, 1] * y + rays[0, 2] + inverse_depth * shift[0])
+        start_v = np.float32(rays[1, 1] * y + rays[1, 2] + inverse_depth * shift[1])
+        start_depth = np.float32(rays[2, 1] * y + rays[2, 2] + inverse_depth * shift[2])
+        seen_row, row = seen[y], padded[y + RADIUS]
+        # Where to look, looking, and interpolating apart: the first and the last of these loops are
+        # done many pixels at a time.
         for x in range(width):
-            q = inverse_row[x] + more
-            column = np.float32(x)
-            depth = az * column + rz + q * bz
+            column = np.float32(np.int32(x))
+            depth = matrix[2, 0] * column + start_depth
             scale = _ONE / max(depth, _NEAR)
-            u = (ax * column + rx + q * bx) * scale
-            v = (ay * column + ry + q * by) * scale
-            clear_u, clear_v = min(max(u, _ZERO), last_u), min(max(v, _ZERO), last_v)
-            # A point behind the neighbour is far outside, since the depth was cut off above.
-            away = max(abs(u - clear_u), abs(v - clear_v))
+            u = (matrix[0, 0] * column + start_u) * scale
+            v = (matrix[1, 0] * column + start_v) * scale
+            near_u, near_v = min(max(u, _ZERO), last_u), min(max(v, _ZERO), last_v)
+            away = max(abs(u - near_u), abs(v - near_v))
             seen_row[x] = _ONE if (away <= _HALF and depth > _NEAR) else _ZERO
-            us[x], vs[x] = clear_u, clear_v
-        row = padded[y + RADIUS]
+            left = np.int32(min(np.int32(near_u), last_column))
+            top = np.int32(min(np.int32(near_v), last_row))
+            across[x], down[x] = near_u - np.float32(left), near_v - np.float32(top)
+            place[x] = np.uint32(top * np.int32(last_column + 1) + left)
         for x in range(width):
-            column_left = min(np.int32(us[x]), np.int32(image_width - 2))
-            row_above = min(np.int32(vs[x]), np.int32(image_height - 2))
-            a, b = us[x] - np.float32(column_left), vs[x] - np.float32(row_above)
-            first = np.uint64(row_above) * np.uint64(image_width) + np.uint64(column_left)
-            second = first + np.uint64(image_width)
-            one = np.uint64(1)
-            top = texels[first] + a * (texels[first + one] - texels[first])
-            bottom = texels[second] + a * (texels[second + one] - texels[second])
-            row[x + RADIUS] = top + b * (bottom - top)
+            four[x] = flat[np.uint64(place[x])]
+        for x in range(width):
+            first = np.float32(np.uint8(four[x]))
+            second = np.float32(np.uint8(four[x] >> np.uint32(8)))
+            third = np.float32(np.uint8(four[x] >> np.uint32(16)))
+            fourth = np.float32(np.uint8(four[x] >> np.uint32(24)))
+            upper = first + across[x] * (second - first)
+            lower = third + across[x] * (fourth - third)
+            row[x + RADIUS] = upper + down[x] * (lower - upper)
     _repeat_border(padded)
 
 
