@@ -8,6 +8,7 @@ on where the last one stopped.
 import hashlib
 import io
 import json
+import logging
 import os
 import shutil
 from collections.abc import Sequence
@@ -17,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipelines.artifacts.array_types import Float32Array, ImageArray
+from pipelines.artifacts.array_types import Float32Array, FloatArray, ImageArray
 from pipelines.artifacts.atomic import write_bytes
 from pipelines.artifacts.errors import InputError
 from pipelines.artifacts.progress import Progress
@@ -27,11 +28,14 @@ from pipelines.geometry.camera import Intrinsics, Undistorter
 from pipelines.geometry.plane import Plane
 from pipelines.lightfield.bundle import as_stored
 from pipelines.lightfield.depth import DepthMap, DepthSettings, estimate_depth
-from pipelines.lightfield.depth_fusion import fuse_depth
+from pipelines.lightfield.depth_fusion import refine_depth_maps
 from pipelines.lightfield.depth_neighbours import choose_neighbours, depth_range
+from pipelines.lightfield.proxy import plane_inverse_depth
 from pipelines.lightfield.scene import SceneDepth
 from pipelines.lightfield.views import shrink
 from pipelines.reconstruct.reconstruction import Reconstruction
+
+_log = logging.getLogger(__name__)
 
 
 def depth_from_photos(
@@ -55,7 +59,7 @@ def depth_from_photos(
         progress: told how far the work is.
 
     Raises:
-        StageError: fewer than two photos, or a view without a neighbour.
+        StageError: fewer than two photos.
     """
     poses = source.world_from_camera
     neighbours = choose_neighbours(
@@ -68,6 +72,12 @@ def depth_from_photos(
         if stored is not None:
             _, pinhole = shrink(photos[view], intrinsics[view], settings.largest_side)
             return DepthMap(stored.inverse_depth, stored.confident, pinhole)
+        if len(neighbours[view]) == 0:
+            _log.warning(
+                "%s sees nothing that another photo sees; its depth is that of the plane",
+                source.image_names[view],
+            )
+            return _plane_depth(poses[view], intrinsics[view], plane, settings)
         limits = depth_range(
             view, poses, intrinsics[view], plane, source.points, source.observations
         )
@@ -76,19 +86,25 @@ def depth_from_photos(
             _store(folder, view, result)
         return result
 
-    views = range(len(photos))
-    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-        maps = list(progress(pool.map(one, views), "depth maps", len(photos)))
-        fused = list(
-            progress(
-                pool.map(
-                    lambda view: fuse_depth(maps, poses, view, neighbours[view], settings), views
-                ),
-                "fuse depth maps",
-                len(photos),
-            )
-        )
-    return tuple(as_stored(depth.inverse_depth, depth.confident) for depth in fused)
+    workers = len(os.sched_getaffinity(0))
+    with ThreadPoolExecutor(workers) as pool:
+        maps = list(progress(pool.map(one, range(len(photos))), "depth maps", len(photos)))
+    refined = refine_depth_maps(maps, poses, neighbours, settings, workers, progress)
+    return tuple(as_stored(depth.inverse_depth, depth.confident) for depth in refined)
+
+
+def _plane_depth(
+    world_from_camera: FloatArray, intrinsics: Intrinsics, plane: Plane, settings: DepthSettings
+) -> DepthMap:
+    """Depth of the plane, nowhere confident; where it is not seen, the farthest that it is."""
+    scale = min(1.0, settings.largest_side / max(intrinsics.width, intrinsics.height))
+    pinhole = intrinsics.resized(
+        max(1, round(intrinsics.width * scale)), max(1, round(intrinsics.height * scale))
+    )
+    inverse = plane_inverse_depth(plane, world_from_camera, pinhole)
+    farthest = inverse[inverse > 0.0].min() if np.any(inverse > 0.0) else 0.1
+    everywhere: Float32Array = np.where(inverse > 0.0, inverse, farthest).astype(np.float32)
+    return DepthMap(everywhere, np.zeros(everywhere.shape, dtype=np.bool_), pinhole)
 
 
 def discard_finished(finished: Path) -> None:
