@@ -40,6 +40,8 @@ def _compiled(function: Function, count_references: bool) -> Function:
         "error_model": "numpy",
         "fastmath": {"contract"},
         "_nrt": count_references,
+        # What is called for every pixel belongs into the loop that calls it.
+        "forceinline": not count_references,
     }
     dispatcher: Any = njit(**options)(function)
     # Where no folder can be written to, functions are compiled anew in every process.
