@@ -273,7 +273,8 @@ def run_as_scene(place: Place) -> Refusal:
 
 
 def scene_as_run(place: Place) -> Refusal:
-    return Refusal(["evaluate", place.scene], place.scene, "lfnav scene.*lfnav run")
+    arguments: list[str | Path] = ["export", place.scene, "--format", "tum", "-o", place.output]
+    return Refusal(arguments, place.scene, "")
 
 
 def truncated_run(place: Place) -> Refusal:
