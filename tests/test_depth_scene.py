@@ -1,6 +1,7 @@
 """Scenes with depth maps: given or computed, judged by photos they do not hold, and bad depth."""
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from pipelines.dataset.images import encode_png
 from pipelines.geometry.trajectory import Trajectory, format_tum
 from pipelines.lightfield import depth_maps
 from pipelines.lightfield.bundle import load_scene
+from pipelines.lightfield.depth import estimate_depth
 from pipelines.lightfield.image_quality import psnr, ssim
 from pipelines.lightfield.stage import ModelSettings, model
 from tests.chain_samples import lfnav, succeed
@@ -122,25 +124,26 @@ def test_finished_depth_maps_are_not_computed_again(
     reconstruction: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     computed: list[int] = []
-    estimate = depth_maps.estimate_depth
 
     def until_killed(*arguments: Any) -> Any:
         computed.append(arguments[3])
         if len(computed) == 4:
             raise KeyboardInterrupt
-        return estimate(*arguments)
+        return estimate_depth(*arguments)
+
+    def to_the_end(*arguments: Any) -> Any:
+        computed.append(arguments[3])
+        return estimate_depth(*arguments)
 
     settings = ModelSettings(geometry="depth", plane=(0.0, 1.0, 0.0, 0.0))
     path = tmp_path / "scene.h5"
-    monkeypatch.setattr(depth_maps.os, "sched_getaffinity", lambda _: {0})
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0})
     monkeypatch.setattr(depth_maps, "estimate_depth", until_killed)
     with pytest.raises(KeyboardInterrupt):
         model(reconstruction, path, settings, overwrite=False, progress=no_progress)
     assert not path.exists()
     first = list(computed)
-    monkeypatch.setattr(
-        depth_maps, "estimate_depth", lambda *a: (computed.append(a[3]), estimate(*a))[1]
-    )
+    monkeypatch.setattr(depth_maps, "estimate_depth", to_the_end)
     model(reconstruction, path, settings, overwrite=False, progress=no_progress)
     # Views 0 to 2 were done; those after the interrupted one may have been begun.
     assert set(computed[len(first) :]).isdisjoint({0, 1, 2})
