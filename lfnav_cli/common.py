@@ -101,6 +101,25 @@ overwrite_option = click.option(
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
 
 
+blending_option = click.option(
+    "--blending",
+    type=click.Choice(["unstructured", "delaunay"]),
+    default="unstructured",
+    show_default=True,
+    help="How views are blended: by viewing angle, or by the paper's net of triangles.",
+)
+
+
+def quality_option(default: str) -> Callable[[Decorated], Decorated]:
+    """``--quality``; ``default`` is what the stage takes for a scene that has depth maps."""
+    return click.option(
+        "--quality",
+        type=click.Choice(["plane", "coarse", "medium", "fine"]),
+        help="How finely the surface follows the depth maps. "
+        f"Default: {default}; plane without them.",
+    )
+
+
 def make_progress(quiet: bool) -> "Progress":
     """Progress bars on stderr; none where stderr is no terminal or ``quiet`` is set."""
 

@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING
 import click
 
 from lfnav_cli.common import (
+    blending_option,
     common_options,
     json_option,
     overwrite_option,
     parse_numbers,
     print_summary,
+    quality_option,
 )
 
 if TYPE_CHECKING:
@@ -90,18 +92,8 @@ def _parse_init(
     type=click.Choice(["mode", "mean", "max_weight"]),
     help="What stands for the run. Default: mode; with condensation max_weight, as in the paper.",
 )
-@click.option(
-    "--blending",
-    type=click.Choice(["unstructured", "delaunay"]),
-    default="unstructured",
-    show_default=True,
-    help="How views are blended: by viewing angle, or by the paper's net of triangles.",
-)
-@click.option(
-    "--quality",
-    type=click.Choice(["plane", "coarse", "medium", "fine"]),
-    help="How finely the surface follows the depth maps. Default: medium; plane without them.",
-)
+@blending_option
+@quality_option("medium")
 @click.option("--width", type=int, default=40, show_default=True, help="Pixels across compared.")
 @click.option("--threads", type=int, help="Default: all processors.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Random seed.")

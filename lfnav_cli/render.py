@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING
 import click
 
 from lfnav_cli.common import (
+    blending_option,
     common_options,
     json_option,
     overwrite_option,
     parse_numbers,
     print_summary,
+    quality_option,
 )
 
 if TYPE_CHECKING:
@@ -39,18 +41,8 @@ if TYPE_CHECKING:
     help="TUM file of robot poses (camera poses where the scene knows no mount).",
 )
 @click.option("--width", type=int, help="Pixels across. Default: as recorded.")
-@click.option(
-    "--blending",
-    type=click.Choice(["unstructured", "delaunay"]),
-    default="unstructured",
-    show_default=True,
-    help="How views are blended: by viewing angle, or by the paper's net of triangles.",
-)
-@click.option(
-    "--quality",
-    type=click.Choice(["plane", "coarse", "medium", "fine"]),
-    help="How finely the surface follows the depth maps. Default: fine; plane without them.",
-)
+@blending_option
+@quality_option("fine")
 @click.option("--fps", type=float, default=10.0, show_default=True, help="Of a video.")
 @overwrite_option
 @json_option

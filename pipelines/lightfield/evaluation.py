@@ -16,7 +16,13 @@ import numpy as np
 from pipelines.artifacts.array_types import BoolArray, FloatArray, ImageArray
 from pipelines.artifacts.errors import InputError, StageError
 from pipelines.artifacts.progress import Progress
-from pipelines.dataset.dataset import GROUNDTRUTH_FILE, load_dataset, poses_at_images
+from pipelines.dataset.dataset import (
+    CAMERA_FILE,
+    GROUNDTRUTH_FILE,
+    Dataset,
+    load_dataset,
+    poses_at_images,
+)
 from pipelines.geometry.camera import Intrinsics, Undistorter
 from pipelines.geometry.trajectory import read_tum
 from pipelines.lightfield.blending import Blending
@@ -127,7 +133,7 @@ def evaluate_scene(
     else:
         frames = load_dataset(dataset)
         count = len(frames)
-        held_out = _frames(dataset, poses, views)
+        held_out = _frames(frames, poses, views)
         against = f"{count} photos of {dataset.resolve().name}"
     values: dict[str, dict[str, list[float]]] = {
         method: {measure: [] for measure in MEASURES} for method in METHODS
@@ -156,11 +162,10 @@ def _views_one_by_one(scene: Scene, views: Views) -> Iterator[_HeldOut]:
         )
 
 
-def _frames(path: Path, poses: Path | None, views: Views) -> Iterator[_HeldOut]:
-    dataset = load_dataset(path)
+def _frames(dataset: Dataset, poses: Path | None, views: Views) -> Iterator[_HeldOut]:
     if dataset.camera is None:
-        raise InputError(path / "camera.toml", "is missing: the photos' camera must be known")
-    source = path / GROUNDTRUTH_FILE if poses is None else poses
+        raise InputError(dataset.root / CAMERA_FILE, "is missing: the photos' camera must be known")
+    source = dataset.root / GROUNDTRUTH_FILE if poses is None else poses
     trajectory = dataset.groundtruth if poses is None else read_tum(poses)
     if trajectory is None:
         raise InputError(source, "is missing: poses are needed to render at", "--poses")
