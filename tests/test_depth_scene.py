@@ -120,6 +120,18 @@ def test_given_depth_is_kept_to_the_precision_of_the_file(
     assert copy.read_bytes() == path.read_bytes()
 
 
+def test_the_plane_comes_from_given_depth_where_there_are_no_points(
+    reconstruction: Path, tmp_path: Path
+) -> None:
+    scene = tmp_path / "scene.h5"
+    succeed("model", reconstruction, "-o", scene, "--geometry", "depth", "--depth", "given")
+    found = load_scene(scene).surface
+    assert found.method == "points"
+    # The wall y = 0, of which the board hides a third.
+    assert np.degrees(np.arccos(-found.plane.normal[1])) < 0.2
+    assert abs(found.plane.offset) < 0.01
+
+
 def test_finished_depth_maps_are_not_computed_again(
     reconstruction: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -37,6 +37,9 @@ from pipelines.reconstruct.reconstruction import Reconstruction
 
 _log = logging.getLogger(__name__)
 
+# Depth maps become points at so many pixels along their longer side.
+POINTS_ALONG_SIDE = 24
+
 
 def depth_from_photos(
     source: Reconstruction,
@@ -182,6 +185,28 @@ def given_depth(source: Reconstruction, root: Path) -> tuple[SceneDepth, ...]:
         inverse = undistorters[int(source.camera_index[index])].nearest(inverse)
         maps.append(as_stored(inverse, inverse > 0.0))
     return tuple(maps)
+
+
+def points_of_depth(source: Reconstruction, depth: Sequence[SceneDepth]) -> FloatArray:
+    """Surface points ``(P, 3)``, world coordinates, at a coarse grid of the depth maps' pixels.
+
+    Args:
+        source: poses and cameras of the views.
+        depth: a map a view, of the undistorted photo.
+    """
+    points = []
+    undistorters = [Undistorter(camera) for camera in source.cameras]
+    for index, (view, pose) in enumerate(zip(depth, source.world_from_camera, strict=True)):
+        height, width = view.inverse_depth.shape
+        pinhole = undistorters[int(source.camera_index[index])].intrinsics.resized(width, height)
+        step = max(1, max(height, width) // POINTS_ALONG_SIDE)
+        rows, columns = np.mgrid[step // 2 : height : step, step // 2 : width : step]
+        values = view.inverse_depth[rows, columns]
+        known = values > 0.0
+        pixels = np.stack([columns[known], rows[known], np.ones(np.count_nonzero(known))], axis=-1)
+        local = pixels @ np.linalg.inv(pinhole.matrix()).T / values[known, None]
+        points.append(local @ pose[:3, :3].T + pose[:3, 3])
+    return np.concatenate(points)
 
 
 def _inverse(values: Float32Array, depth_scale: float) -> Float32Array:

@@ -16,7 +16,12 @@ from pipelines.geometry.camera import Intrinsics, Undistorter
 from pipelines.geometry.plane import Plane, plane_from_coefficients
 from pipelines.lightfield.bundle import identifier_of, save_scene
 from pipelines.lightfield.depth import DepthSettings
-from pipelines.lightfield.depth_maps import depth_from_photos, discard_finished, given_depth
+from pipelines.lightfield.depth_maps import (
+    depth_from_photos,
+    discard_finished,
+    given_depth,
+    points_of_depth,
+)
 from pipelines.lightfield.description import SceneSummary
 from pipelines.lightfield.plane_estimation import (
     FINE_WIDTH,
@@ -64,6 +69,11 @@ class ModelSettings:
             raise OptionError(f"geometry {self.geometry!r} is none of {', '.join(GEOMETRIES)}")
         if self.depth not in DEPTH_SOURCES:
             raise OptionError(f"depth {self.depth!r} is none of {', '.join(DEPTH_SOURCES)}")
+
+    @property
+    def takes_depth(self) -> bool:
+        """Whether the depth maps are those of the data set."""
+        return self.geometry == "depth" and self.depth == "given"
 
 
 def model(
@@ -130,10 +140,11 @@ def build_scene(
     images = tuple(encoded)
     needs_photos = settings.geometry == "depth" and settings.depth == "photos"
     photos = _Photos(source, images, None if needs_photos else FINE_WIDTH)
-    surface = _surface(source, photos, settings, progress)
+    given = given_depth(source, root) if settings.takes_depth else ()
+    surface = _surface(source, photos, given, settings, progress)
     if surface.plane.signed_distance(source.world_from_camera[:, :3, 3]).max() <= 0.0:
         raise StageError("no photo was taken from the front of the plane; check --plane")
-    depth = _depth(source, root, photos, surface.plane, settings, finished, progress)
+    depth = given or _depth(source, photos, surface.plane, settings, finished, progress)
     cameras = [source.cameras[int(index)] for index in source.camera_index]
     return Scene(
         image_names=source.image_names,
@@ -188,33 +199,38 @@ class _Photos:
 
 
 def _surface(
-    source: Reconstruction, photos: _Photos, settings: ModelSettings, progress: Progress
+    source: Reconstruction,
+    photos: _Photos,
+    given: tuple[SceneDepth, ...],
+    settings: ModelSettings,
+    progress: Progress,
 ) -> PlaneEstimate:
+    """The plane that was asked for, or the dominant one of points, given depth or photos."""
     centres = source.world_from_camera[:, :3, 3]
     if settings.plane is not None:
         plane = plane_from_coefficients(settings.plane).facing(centres)
         return PlaneEstimate(plane, 0.0, 0.0, "given", 1.0)
-    if len(source.points) >= MIN_POINTS:
+    points = source.points
+    if len(points) < MIN_POINTS and given:
+        points = points_of_depth(source, given)
+    if len(points) >= MIN_POINTS:
         rng = np.random.default_rng(settings.seed)
-        return plane_from_points(source.points, source.world_from_camera, rng)
+        return plane_from_points(points, source.world_from_camera, rng)
     views = build_views(*photos.decoded(progress), source.world_from_camera)
     return plane_from_photos(views, source.world_from_camera, progress)
 
 
 def _depth(
     source: Reconstruction,
-    root: Path,
     photos: _Photos,
     plane: Plane,
     settings: ModelSettings,
     finished: Path | None,
     progress: Progress,
 ) -> tuple[SceneDepth, ...]:
-    """A depth map a view; none where the plane is all that was asked for."""
+    """A depth map a view, from the photos; none where the plane is all that was asked for."""
     if settings.geometry == "plane":
         return ()
-    if settings.depth == "given":
-        return given_depth(source, root)
     images, intrinsics = photos.decoded(progress)
     return depth_from_photos(source, images, intrinsics, plane, DepthSettings(), finished, progress)
 
