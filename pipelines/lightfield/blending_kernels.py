@@ -8,11 +8,13 @@ import numpy as np
 
 from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray, IntArray
 from pipelines.lightfield.blending import (
+    BORDER_PENALTY,
+    BORDER_SHARE,
     FEWEST_TILES,
-    LAST_VIEW_FACTOR,
     MOST_TILES,
     OCCLUSION_FACTOR,
     RESOLUTION_PENALTY,
+    SMALLEST_MARGIN,
     SMALLEST_PENALTY,
     TILE_SIDE,
     VIEWS_PER_CORNER,
@@ -72,6 +74,16 @@ def _penalty(
     cosine = (vx * rx + vy * ry + vz * rz) / (virtual * recorded)
     angle = np.sqrt(max(2.0 - 2.0 * cosine, 0.0))
     return float(angle + RESOLUTION_PENALTY * max(recorded / virtual - 1.0, 0.0))
+
+
+@compiled_leaf
+def _border_penalty(width: int, height: int, u: float, v: float) -> float:
+    """Penalty of an image for showing a point in column u, row v, near its border."""
+    margin = min(u + 0.5, width - 0.5 - u, v + 0.5, height - 0.5 - v)
+    strip = BORDER_SHARE * min(width, height)
+    if margin >= strip:
+        return 0.0
+    return float(BORDER_PENALTY * (strip / max(margin, SMALLEST_MARGIN * strip) - 1.0))
 
 
 @compiled_leaf
@@ -135,6 +147,7 @@ def _best_views(
         ):
             continue
         own = _penalty(centres, view, pose, px, py, pz)
+        own += _border_penalty(level_size[view, 0, 0], level_size[view, 0, 1], u, v)
         if found <= VIEWS_PER_CORNER:
             slot = found
             found += 1
@@ -155,11 +168,9 @@ def _best_views(
 def _shares(penalty: FloatArray, found: int, weights: FloatArray) -> int:
     """Writes weights with sum 1 that fall to zero where the next view takes over; their number."""
     count = min(found, VIEWS_PER_CORNER)
+    limit = np.inf
     if found > VIEWS_PER_CORNER:
-        limit = penalty[VIEWS_PER_CORNER]
-    else:
-        limit = LAST_VIEW_FACTOR * penalty[found - 1]
-    limit = max(limit, LAST_VIEW_FACTOR * SMALLEST_PENALTY)
+        limit = max(penalty[VIEWS_PER_CORNER], 2.0 * SMALLEST_PENALTY)
     total = 0.0
     for i in range(count):
         weights[i] = max(1.0 - penalty[i] / limit, 0.0) / max(penalty[i], SMALLEST_PENALTY)
