@@ -150,6 +150,16 @@ class SafeFile:
         native = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("="))
         return native if shape else native.reshape(())
 
+    def stored_bytes(self, name: str) -> int:
+        """What an array takes in the file: compressed, where it is, and with its checksums."""
+        dataset = self._object(name)
+        if not isinstance(dataset, h5py.Dataset):
+            raise InputError(self.path, f"{name} is not an array")
+        try:
+            return int(dataset.id.get_storage_size())
+        except _FORMAT_ERRORS as error:
+            raise self._damaged(name, error) from error
+
     def read_json(self, name: str, max_bytes: int = MAX_JSON_BYTES) -> Any:
         """Reads a JSON value that ``write_json`` stored; NaN and infinity are refused."""
         data = self.read_array(name, dtype_kind="u", shape=(None,), max_bytes=max_bytes)

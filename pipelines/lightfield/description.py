@@ -8,16 +8,30 @@ import numpy as np
 
 from pipelines.geometry.camera import cameras_text
 from pipelines.geometry.pose import camera_heading_of
-from pipelines.lightfield.bundle import load_scene
+from pipelines.lightfield.bundle import load_scene, scene_provenance
 from pipelines.lightfield.scene import Scene
+from pipelines.lightfield.size_budget import SizeBudget, size_budget
+
+# Where the provenance of a scene names the photos that it was made without.
+LEFT_OUT = "left_out"
 
 
 @dataclass(frozen=True)
 class SceneSummary:
-    """A scene model and the file that holds it."""
+    """A scene model and the file that holds it.
+
+    Attributes:
+        path: the file.
+        scene: its content.
+        left_out: photos that the reconstruction has and the scene does not hold, since others show
+            nearly the same.
+        budget: what it takes on disk and in memory.
+    """
 
     path: Path
     scene: Scene
+    left_out: tuple[str, ...]
+    budget: SizeBudget
 
     def table(self) -> list[tuple[str, ...]]:
         """Rows for people."""
@@ -25,7 +39,7 @@ class SceneSummary:
         plane, bounds = facts["plane"], facts["bounds_m"]
         return [
             ("scene", str(self.path)),
-            ("views", f"{facts['views']} ({facts['image_megabytes']:.1f} MB as recorded)"),
+            ("views", _views_text(facts)),
             ("cameras", cameras_text(self.scene.cameras)),
             ("depth maps", _depth_text(facts["depth"])),
             ("plane", "{:.4f} x + {:.4f} y + {:.4f} z + {:.4f} = 0".format(*plane["coefficients"])),
@@ -34,6 +48,7 @@ class SceneSummary:
             ("viewing directions", "{:.0f} to {:.0f} deg".format(*facts["headings_deg"])),
             ("scale from", facts["scale_source"]),
             ("robot mount", "yes" if facts["has_mount"] else "no"),
+            *self.budget.table(),
         ]
 
     def to_dict(self) -> dict[str, Any]:
@@ -45,6 +60,7 @@ class SceneSummary:
             "path": str(self.path),
             "kind": "scene",
             "views": len(scene),
+            "left_out": list(self.left_out),
             "image_megabytes": sum(map(len, scene.encoded_images)) / 1e6,
             "cameras": [f"{c.model} {c.width}x{c.height}" for c in scene.cameras],
             "plane": {
@@ -60,6 +76,7 @@ class SceneSummary:
             "scale_source": scene.scale_source,
             "has_mount": scene.base_from_camera is not None,
             "identifier": scene.identifier,
+            "size": self.budget.to_dict(),
         }
 
 
@@ -69,7 +86,26 @@ def describe_scene(path: Path) -> SceneSummary:
     Raises:
         InputError: as ``load_scene``.
     """
-    return SceneSummary(path, load_scene(path))
+    return summary_of(path, load_scene(path))
+
+
+def summary_of(path: Path, scene: Scene) -> SceneSummary:
+    """The same where the content of the file is known already.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    left_out = scene_provenance(path).get(LEFT_OUT, [])
+    names = tuple(str(name) for name in left_out) if isinstance(left_out, list) else ()
+    return SceneSummary(path, scene, names, size_budget(path, scene))
+
+
+def _views_text(facts: dict[str, Any]) -> str:
+    text = f"{facts['views']} ({facts['image_megabytes']:.1f} MB as recorded)"
+    if not facts["left_out"]:
+        return text
+    total = facts["views"] + len(facts["left_out"])
+    return f"{text}, chosen from {total}; {len(facts['left_out'])} left out"
 
 
 def _depth_facts(scene: Scene) -> dict[str, Any] | None:

@@ -22,7 +22,7 @@ from pipelines.lightfield.depth_maps import (
     given_depth,
     points_of_depth,
 )
-from pipelines.lightfield.description import SceneSummary
+from pipelines.lightfield.description import SceneSummary, summary_of
 from pipelines.lightfield.plane_estimation import (
     FINE_WIDTH,
     MIN_POINTS,
@@ -105,7 +105,7 @@ def model(
     options = {name: value for name, value in asdict(settings).items() if name != "images"}
     save_scene(output, scene, overwrite, provenance("model", _plain(options), inputs))
     discard_finished(finished)
-    return SceneSummary(output, scene)
+    return summary_of(output, scene)
 
 
 def build_scene(

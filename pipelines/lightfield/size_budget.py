@@ -1,0 +1,136 @@
+"""What a scene model takes on disk and in memory, and which part of it takes how much."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pipelines.artifacts.errors import InputError
+from pipelines.artifacts.safe_hdf5 import open_hdf5
+from pipelines.lightfield.scene import Scene
+from pipelines.lightfield.views import SMALLEST_LEVEL_SIDE
+
+PARTS = ("photos", "depth_maps", "rest")
+# The longer side of views to which ``lfnav localize`` shrinks the photos by default.
+LOCALIZE_SIDE = 160
+RESOLUTIONS = {"full_size": None, "localize": LOCALIZE_SIDE}
+TEXEL_BYTES, DEPTH_BYTES = 4, 4
+
+
+@dataclass(frozen=True)
+class SizeBudget:
+    """Bytes of a scene model, each as part (one of ``PARTS``) -> bytes.
+
+    Attributes:
+        views: the number of views.
+        file: on disk; depth maps are compressed there, photos are as they were recorded.
+        memory: the same for each of ``RESOLUTIONS``: the scene (photos encoded as in the file)
+            together with the views that a renderer makes of it.
+    """
+
+    views: int
+    file: Mapping[str, int]
+    memory: Mapping[str, Mapping[str, int]]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON types."""
+        return {
+            "file_bytes": self._with_total(self.file),
+            "memory_bytes": {name: self._with_total(of) for name, of in self.memory.items()},
+        }
+
+    def table(self) -> list[tuple[str, ...]]:
+        """Rows for people."""
+        full, small = (self._text(self.memory[name]) for name in RESOLUTIONS)
+        return [
+            ("file", self._text(self.file)),
+            ("in memory, full size", full),
+            (f"in memory, {LOCALIZE_SIDE} px", f"{small} (as lfnav localize opens it)"),
+        ]
+
+    def _with_total(self, parts: Mapping[str, int]) -> dict[str, Any]:
+        per_view = {name: round(value / self.views) for name, value in parts.items()}
+        total = sum(parts.values())
+        return {
+            **parts,
+            "total": total,
+            "per_view": {**per_view, "total": round(total / self.views)},
+            "share": {name: value / total for name, value in parts.items()},
+        }
+
+    def _text(self, parts: Mapping[str, int]) -> str:
+        """Total and a view's, then the share and the bytes of every part that there is."""
+        total = sum(parts.values())
+        listed = ", ".join(
+            f"{name.replace('_', ' ')} {value / total:.0%} ({_megabytes(value)})"
+            for name, value in parts.items()
+            if value > 0
+        )
+        return f"{_megabytes(total)}, {_megabytes(total / self.views)} a view: {listed}"
+
+
+def size_budget(path: Path, scene: Scene) -> SizeBudget:
+    """The sizes of a scene model.
+
+    Args:
+        path: the file that holds it.
+        scene: what was read from there or written to there.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    memory = {name: _memory(scene, side) for name, side in RESOLUTIONS.items()}
+    return SizeBudget(len(scene), _on_disk(path, scene), memory)
+
+
+def _on_disk(path: Path, scene: Scene) -> dict[str, int]:
+    with open_hdf5(path) as file:
+        photos = sum(file.stored_bytes(f"images/{index:06d}") for index in range(len(scene)))
+        depth = sum(
+            file.stored_bytes(f"depth/{index:06d}/{name}")
+            for index in range(len(scene.depth))
+            for name in ("inverse", "confident", "scale")
+        )
+    try:
+        total = path.stat().st_size
+    except OSError as error:
+        raise InputError(path, f"cannot be read ({error.strerror or error})") from error
+    return {"photos": photos, "depth_maps": depth, "rest": total - photos - depth}
+
+
+def _memory(scene: Scene, largest_side: int | None) -> dict[str, int]:
+    """Bytes of the scene and of ``views_of_scene`` at this resolution."""
+    photos, depth = sum(map(len, scene.encoded_images)), 0
+    for index in range(len(scene)):
+        camera = scene.camera_of(index)
+        size = _shrunk_size(camera.width, camera.height, largest_side)
+        photos += TEXEL_BYTES * _pyramid_texels(*size)
+    for of_view in scene.depth:
+        depth += of_view.inverse_depth.nbytes + of_view.confident.nbytes
+        height, width = of_view.inverse_depth.shape
+        size = _shrunk_size(width, height, largest_side)
+        depth += DEPTH_BYTES * size[0] * size[1]
+    rest = scene.timestamps.nbytes + scene.camera_index.nbytes + scene.world_from_camera.nbytes
+    return {"photos": photos, "depth_maps": depth, "rest": rest}
+
+
+def _shrunk_size(width: int, height: int, largest_side: int | None) -> tuple[int, int]:
+    """Width and height of an image after ``views.shrink``."""
+    longer = max(width, height)
+    if largest_side is None or longer <= largest_side:
+        return width, height
+    scale = largest_side / longer
+    return max(1, round(width * scale)), max(1, round(height * scale))
+
+
+def _pyramid_texels(width: int, height: int) -> int:
+    """Pixels of all levels of an image's pyramid."""
+    total = width * height
+    while min(width, height) >= 2 * SMALLEST_LEVEL_SIDE:
+        width, height = (width + 1) // 2, (height + 1) // 2
+        total += width * height
+    return total
+
+
+def _megabytes(count: float) -> str:
+    return f"{count / 1e6:.1f} MB" if count >= 1e5 else f"{count / 1e3:.1f} kB"
