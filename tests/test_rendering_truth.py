@@ -8,6 +8,7 @@ from pipelines.geometry.camera import Camera, Intrinsics, Undistorter
 from pipelines.geometry.plane import Plane, plane_from_coefficients
 from pipelines.geometry.pose import inverse
 from pipelines.lightfield.blending import Blending
+from pipelines.lightfield.proxy import Quality, plane_inverse_depth
 from pipelines.lightfield.renderer import Renderer, Rendering
 from pipelines.lightfield.views import (
     Views,
@@ -16,6 +17,7 @@ from pipelines.lightfield.views import (
     pinhole_query,
     query_intrinsics,
     shrink,
+    with_depth,
 )
 from tests.lightfield_samples import (
     WALL,
@@ -111,6 +113,29 @@ def test_views_show_what_a_camera_would_see(
     inside, outside = seen_by_any(pose, VIRTUAL, plane, views, poses)
     assert inside.mean() > 0.15
     assert_true(rendering, truth(pose, VIRTUAL, plane), inside, outside)
+
+
+@every_blending
+@pytest.mark.parametrize("place", POSES)
+@pytest.mark.parametrize("recorded", ["line", "general"])
+@pytest.mark.parametrize("plane", [WALL, TILTED], ids=["wall", "tilted"])
+def test_views_over_depth_maps_show_what_a_camera_would_see(
+    recorded: str, place: str, plane: Plane, blending: Blending
+) -> None:
+    """The same truth where the surface comes from the views' depth maps, mirrored net included."""
+    poses = {"line": LINE, "general": GENERAL}[recorded]
+    pose = POSES[place]
+    flat = photographed(poses, RECORDED, plane)
+    depths = [plane_inverse_depth(plane, of, RECORDED).astype(np.float32) for of in poses]
+    views = with_depth(flat, depths)
+    rendering = Renderer(views, plane, blending, Quality.FINE, threads=1).render(pose, VIRTUAL)
+    # Beyond what the photos show the mesh goes on a little with the farthest depth.
+    inside, _ = seen_by_any(pose, VIRTUAL, plane, views, poses)
+    assert inside.mean() > 0.15
+    assert rendering.covered[inside].mean() > 0.97
+    shown = inside & rendering.covered
+    difference = np.abs(rendering.image - truth(pose, VIRTUAL, plane))[shown]
+    assert difference.mean() < 2.0
 
 
 @every_blending

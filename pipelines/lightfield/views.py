@@ -161,6 +161,13 @@ def _packed_depths(
     return values, start, size
 
 
+def with_depth(views: Views, inverse_depths: Sequence[Float32Array]) -> Views:
+    """The same photos with other depth maps, one a view; see ``build_views``."""
+    values, start, size = _packed_depths(len(views), inverse_depths)
+    arrays = views.arrays._replace(inverse_depth=values, depth_start=start, depth_size=size)
+    return Views(arrays, views.intrinsics)
+
+
 def without_depth(views: Views) -> Views:
     """The same photos as if they had no depth maps."""
     arrays = views.arrays._replace(
