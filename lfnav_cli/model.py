@@ -47,6 +47,12 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path),
     help="Folder of the photos, where they have moved since the reconstruction.",
 )
+@click.option(
+    "--max-views",
+    type=int,
+    metavar="N",
+    help="Keep the N photos that together show best what all of them show. Default: all.",
+)
 @click.option("--seed", type=int, default=0, show_default=True, help="Random seed.")
 @overwrite_option
 @json_option
@@ -58,6 +64,7 @@ def command(
     depth: str,
     plane: tuple[float, ...] | None,
     images: Path | None,
+    max_views: int | None,
     seed: int,
     overwrite: bool,
     as_json: bool,
@@ -68,16 +75,20 @@ def command(
     The scene's surface is one plane, or with --geometry depth a depth map for every photo. The
     plane is estimated from the sparse points where the reconstruction has some, else from the
     photos: the plane over which they agree best. Depth maps that are finished when the command is
-    stopped are not computed again.
+    stopped are not computed again. Of many photos taken close together, --max-views keeps those
+    that matter: memory, and time for a rendered view, grow with their number.
 
     \b
     Example:
       lfnav model out/elevators -o out/elevators.h5
       lfnav model out/elevators -o out/elevators.h5 --plane 0,1,0,0
       lfnav model out/workshop -o out/workshop.h5 --geometry depth
+      lfnav model out/workshop -o out/workshop.h5 --max-views 100
     """
     from pipelines.lightfield.stage import ModelSettings, model
 
-    settings = ModelSettings(geometry=geometry, depth=depth, plane=plane, images=images, seed=seed)
+    settings = ModelSettings(
+        geometry=geometry, depth=depth, plane=plane, images=images, seed=seed, max_views=max_views
+    )
     summary = model(reconstruction, output, settings, overwrite=overwrite, progress=progress)
     print_summary(summary, as_json)

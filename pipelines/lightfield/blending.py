@@ -168,8 +168,8 @@ def _corner_weights(
         return weights
     centre = world_from_camera[:3, 3]
     ray = world_from_camera[:3, :3] @ np.linalg.inv(intrinsics.matrix()) @ pixel
-    penalty = _penalties(views.centres[candidates], centre, centre + ray / inverse_depth)
-    penalty += _border_penalties(target[candidates], size[candidates])
+    penalty = ray_penalties(views.centres[candidates], centre, centre + ray / inverse_depth)
+    penalty += border_penalties(target[candidates], size[candidates])
     order = np.argsort(penalty, kind="stable")
     best = order[:VIEWS_PER_CORNER]
     # Where no further view takes over, it is as if one with an infinite penalty did.
@@ -181,28 +181,34 @@ def _corner_weights(
     return weights
 
 
-def _penalties(centres: FloatArray, virtual_centre: FloatArray, point: FloatArray) -> FloatArray:
-    """Penalty ``(n,)`` of views at ``centres`` (n, 3) for showing a surface point."""
+def ray_penalties(centres: FloatArray, virtual_centre: FloatArray, point: FloatArray) -> FloatArray:
+    """Penalty ``(...)`` of views for the angle and the resolution under which they show points.
+
+    Args:
+        centres: ``(..., 3)`` of the views.
+        virtual_centre: ``(..., 3)`` from where the points are to be shown.
+        point: ``(..., 3)`` the points, world coordinates.
+    """
     virtual, recorded = point - virtual_centre, point - centres
-    virtual_distance = np.linalg.norm(virtual)
-    distance = np.linalg.norm(recorded, axis=1)
-    cosine = recorded @ virtual / (distance * virtual_distance)
+    virtual_distance = np.linalg.norm(virtual, axis=-1)
+    distance = np.linalg.norm(recorded, axis=-1)
+    cosine = np.sum(recorded * virtual, axis=-1) / (distance * virtual_distance)
     # The chord 2 sin(angle / 2): the angle where it is small, without an inverse cosine.
     angle = np.sqrt(np.maximum(2.0 - 2.0 * cosine, 0.0))
     coarser = np.maximum(distance / virtual_distance - 1.0, 0.0)
     return np.asarray(angle + RESOLUTION_PENALTY * coarser)
 
 
-def _border_penalties(target: FloatArray, size: IntArray) -> FloatArray:
-    """Penalty ``(n,)`` for points near the border of images.
+def border_penalties(target: FloatArray, size: IntArray) -> FloatArray:
+    """Penalty ``(...)`` of views for showing points near the border of their images.
 
     Args:
-        target: ``(n, 3)`` homogeneous pixels of the points, inside the images.
-        size: ``(n, 2)`` width and height of the images.
+        target: ``(..., 3)`` homogeneous pixels of the points, inside the images.
+        size: ``(..., 2)`` width and height of the images.
     """
-    pixel = target[:, :2] / target[:, 2:]
-    margin = np.minimum(pixel + 0.5, size - 0.5 - pixel).min(axis=1)
-    share = margin / (BORDER_SHARE * size.min(axis=1))
+    pixel = target[..., :2] / target[..., 2:]
+    margin = np.minimum(pixel + 0.5, size - 0.5 - pixel).min(axis=-1)
+    share = margin / (BORDER_SHARE * size.min(axis=-1))
     return np.asarray(
         BORDER_PENALTY * np.maximum(1.0 / np.maximum(share, SMALLEST_MARGIN) - 1.0, 0.0)
     )

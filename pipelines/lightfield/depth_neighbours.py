@@ -120,7 +120,7 @@ def depth_range(
         farthest, nearest = np.percentile(1.0 / depth, POINT_PERCENTILES)
         near, far = NEAR_OF_POINTS / nearest, FAR_OF_POINTS / farthest
     else:
-        on_plane = _plane_depths(world_from_camera[view], intrinsics, plane)[1]
+        on_plane = plane_depths(world_from_camera[view], intrinsics, plane)[1]
         near, far = NEAR_OF_PLANE * np.min(on_plane), FAR_OF_PLANE * np.max(on_plane)
     return checked_range(float(near), float(far))
 
@@ -148,7 +148,7 @@ def _samples(
     views = len(world_from_camera)
     own = np.unique(observations[observations[:, 1] == view, 0])
     if len(own) < MIN_POINTS:
-        rays, depths = _plane_depths(world_from_camera[view], intrinsics, plane)
+        rays, depths = plane_depths(world_from_camera[view], intrinsics, plane)
         samples = world_from_camera[view, :3, 3] + rays * depths[:, None]
         return samples, np.ones((views, len(samples)))
     own = own[:: -(-len(own) // MAX_SAMPLES)]
@@ -159,16 +159,20 @@ def _samples(
     return points[own], matched
 
 
-def _plane_depths(
-    world_from_camera: FloatArray, intrinsics: Intrinsics, plane: Plane
+def plane_depths(
+    world_from_camera: FloatArray,
+    intrinsics: Intrinsics,
+    plane: Plane,
+    columns: int = GRID_COLUMNS,
+    rows: int = GRID_ROWS,
 ) -> tuple[FloatArray, FloatArray]:
     """A grid of rays ``(S, 3)`` with z = 1 in the camera, and the depths ``(S,)`` of the plane.
 
     Rays that miss the plane, or meet it far behind the rest of the image, get the median depth of
     the others; a view that looks away from the plane gets its distance from it.
     """
-    u = (np.arange(GRID_COLUMNS) + 0.5) / GRID_COLUMNS * intrinsics.width - 0.5
-    v = (np.arange(GRID_ROWS) + 0.5) / GRID_ROWS * intrinsics.height - 0.5
+    u = (np.arange(columns) + 0.5) / columns * intrinsics.width - 0.5
+    v = (np.arange(rows) + 0.5) / rows * intrinsics.height - 0.5
     pixels = np.stack([*(grid.ravel() for grid in np.meshgrid(u, v)), np.ones(u.size * v.size)])
     rays = (world_from_camera[:3, :3] @ np.linalg.inv(intrinsics.matrix()) @ pixels).T
     height = float(plane.signed_distance(world_from_camera[:3, 3]))

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.artifacts.array_types import ImageArray
+from pipelines.artifacts.array_types import ImageArray, IntArray
 from pipelines.artifacts.atomic import check_output
 from pipelines.artifacts.errors import InputError, OptionError, StageError
 from pipelines.artifacts.progress import Progress
@@ -22,7 +22,7 @@ from pipelines.lightfield.depth_maps import (
     given_depth,
     points_of_depth,
 )
-from pipelines.lightfield.description import SceneSummary, summary_of
+from pipelines.lightfield.description import LEFT_OUT, SceneSummary, summary_of
 from pipelines.lightfield.plane_estimation import (
     FINE_WIDTH,
     MIN_POINTS,
@@ -30,11 +30,13 @@ from pipelines.lightfield.plane_estimation import (
     plane_from_points,
 )
 from pipelines.lightfield.scene import PlaneEstimate, Scene, SceneDepth, covered_bounds
+from pipelines.lightfield.view_selection import KnownSurface, select_views
 from pipelines.lightfield.views import build_views, shrink
 from pipelines.reconstruct.reconstruction import (
     DESCRIPTION_NAME,
     Reconstruction,
     load_reconstruction,
+    with_images,
 )
 
 # Beside the output while depth maps are computed.
@@ -53,9 +55,11 @@ class ModelSettings:
         plane: a, b, c, d of ``a x + b y + c z + d = 0`` in world coordinates; None: estimated.
         images: folder of the photos where they are no longer where the reconstruction found them.
         seed: of the random samples in the estimation from points.
+        max_views: how many photos the model may hold: those that together show best what all of
+            them show; None: all.
 
     Raises:
-        OptionError: an unknown geometry.
+        OptionError: an unknown geometry, or a model without photos.
     """
 
     geometry: str = "plane"
@@ -63,8 +67,11 @@ class ModelSettings:
     plane: tuple[float, ...] | None = None
     images: Path | None = None
     seed: int = 0
+    max_views: int | None = None
 
     def __post_init__(self) -> None:
+        if self.max_views is not None and self.max_views < 1:
+            raise OptionError(f"a model of {self.max_views} photos shows nothing; keep at least 1")
         if self.geometry not in GEOMETRIES:
             raise OptionError(f"geometry {self.geometry!r} is none of {', '.join(GEOMETRIES)}")
         if self.depth not in DEPTH_SOURCES:
@@ -103,7 +110,9 @@ def model(
     scene = build_scene(source, settings, progress, finished)
     inputs = {DESCRIPTION_NAME: sha256_of_file(reconstruction / DESCRIPTION_NAME)}
     options = {name: value for name, value in asdict(settings).items() if name != "images"}
-    save_scene(output, scene, overwrite, provenance("model", _plain(options), inputs))
+    left_out = sorted(set(source.image_names) - set(scene.image_names))
+    record = {**provenance("model", _plain(options), inputs), LEFT_OUT: left_out}
+    save_scene(output, scene, overwrite, record)
     discard_finished(finished)
     return summary_of(output, scene)
 
@@ -127,23 +136,20 @@ def build_scene(
         StageError: no plane can be estimated.
     """
     root = settings.images if settings.images is not None else source.image_root
-    encoded = []
-    for name, expected in zip(source.image_names, source.image_hashes, strict=True):
-        data = read_image_bytes(root / name)
-        if sha256_of_bytes(data) != expected:
-            raise InputError(
-                root / name,
-                "is not the photo that was reconstructed",
-                "reconstruct again, or name the folder of the photos with --images",
-            )
-        encoded.append(data)
-    images = tuple(encoded)
-    needs_photos = settings.geometry == "depth" and settings.depth == "photos"
-    photos = _Photos(source, images, None if needs_photos else FINE_WIDTH)
+    images = _read_photos(source, root)
+    needs_photos = settings.geometry == "depth" and not settings.takes_depth
+    # Of many photos, only those that are kept are decoded at full size.
+    decodes_all = needs_photos and settings.max_views is None
+    photos = _Photos(source, images, None if decodes_all else FINE_WIDTH)
     given = given_depth(source, root) if settings.takes_depth else ()
     surface = _surface(source, photos, given, settings, progress)
     if surface.plane.signed_distance(source.world_from_camera[:, :3, 3]).max() <= 0.0:
         raise StageError("no photo was taken from the front of the plane; check --plane")
+    if settings.max_views is not None:
+        kept = _select(source, surface.plane, given, settings.max_views, progress)
+        source, images = with_images(source, kept), tuple(images[index] for index in kept)
+        given = tuple(given[index] for index in kept) if given else ()
+        photos = _Photos(source, images, None)
     depth = given or _depth(source, photos, surface.plane, settings, finished, progress)
     cameras = [source.cameras[int(index)] for index in source.camera_index]
     return Scene(
@@ -168,6 +174,35 @@ def build_scene(
         ),
         depth=depth,
     )
+
+
+def _read_photos(source: Reconstruction, root: Path) -> tuple[bytes, ...]:
+    """The files of all photos, each the one that was reconstructed."""
+    encoded = []
+    for name, expected in zip(source.image_names, source.image_hashes, strict=True):
+        data = read_image_bytes(root / name)
+        if sha256_of_bytes(data) != expected:
+            raise InputError(
+                root / name,
+                "is not the photo that was reconstructed",
+                "reconstruct again, or name the folder of the photos with --images",
+            )
+        encoded.append(data)
+    return tuple(encoded)
+
+
+def _select(
+    source: Reconstruction,
+    plane: Plane,
+    given: tuple[SceneDepth, ...],
+    count: int,
+    progress: Progress,
+) -> IntArray:
+    """Indices of the photos that the model holds."""
+    pinholes = [Undistorter(camera).intrinsics for camera in source.cameras]
+    intrinsics = [pinholes[int(index)] for index in source.camera_index]
+    surface = KnownSurface(plane, source.points, source.observations, given)
+    return select_views(source.world_from_camera, intrinsics, surface, count, progress)
 
 
 class _Photos:

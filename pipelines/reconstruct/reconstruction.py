@@ -7,7 +7,7 @@ images with their times and hashes, the images that were dropped and why, statis
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -122,6 +122,29 @@ class Reconstruction:
                 raise OptionError(f"{name} has shape {shape}, expected {wanted}")
         if self.method not in METHODS or self.scale_source not in SCALE_SOURCES:
             raise OptionError(f"unknown method {self.method!r} or scale {self.scale_source!r}")
+
+
+def with_images(reconstruction: Reconstruction, kept: IntArray) -> Reconstruction:
+    """The part of a reconstruction that some of its images make; all points stay.
+
+    Args:
+        reconstruction: the whole.
+        kept: ``(K,)`` indices of the images, ascending.
+    """
+    place = np.full(len(reconstruction.image_names), -1)
+    place[kept] = np.arange(len(kept))
+    image = place[reconstruction.observations[:, 1]]
+    seen = image >= 0
+    return replace(
+        reconstruction,
+        image_names=tuple(reconstruction.image_names[index] for index in kept),
+        image_hashes=tuple(reconstruction.image_hashes[index] for index in kept),
+        timestamps=reconstruction.timestamps[kept],
+        camera_index=reconstruction.camera_index[kept],
+        world_from_camera=reconstruction.world_from_camera[kept],
+        observations=np.column_stack([reconstruction.observations[:, 0], image])[seen],
+        observed_pixels=reconstruction.observed_pixels[seen],
+    )
 
 
 def save_reconstruction(
