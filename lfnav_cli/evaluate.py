@@ -39,6 +39,11 @@ if TYPE_CHECKING:
     "--leave-one-out", is_flag=True, help="SCENE: render each view from all the others instead."
 )
 @click.option(
+    "--interior",
+    is_flag=True,
+    help="With --leave-one-out: only views that were taken amid the others, not at their border.",
+)
+@click.option(
     "--quality",
     type=click.Choice(["plane", "coarse", "medium", "fine"]),
     help="SCENE: how finely the surface follows the depth maps. Default: fine.",
@@ -57,6 +62,7 @@ def command(
     dataset: Path | None,
     poses: Path | None,
     leave_one_out: bool,
+    interior: bool,
     quality: str | None,
     blending: str | None,
     as_json: bool,
@@ -76,11 +82,12 @@ def command(
       lfnav evaluate run.h5 --groundtruth sample_data/elevators/test/groundtruth.txt --json
       lfnav evaluate scene.h5 --dataset sample_data/elevators/test
       lfnav evaluate scene.h5 --leave-one-out
+      lfnav evaluate scene.h5 --leave-one-out --interior
     """
     from pipelines.artifacts.kinds import kind_of
 
     if kind_of(path) != "scene":
-        of_scene = (dataset, poses, leave_one_out or None, quality, blending)
+        of_scene = (dataset, poses, leave_one_out or None, interior or None, quality, blending)
         if any(option is not None for option in of_scene):
             raise click.UsageError(f"{path} is no scene model; those options are for scenes")
         print_summary(_evaluate_run(path, groundtruth, estimate), as_json)
@@ -91,7 +98,10 @@ def command(
         raise click.UsageError("a scene is evaluated with either --dataset or --leave-one-out")
     if poses is not None and dataset is None:
         raise click.UsageError("--poses goes with --dataset")
-    summary = _evaluate_scene(path, dataset, poses, quality, blending or "unstructured", progress)
+    if interior and not leave_one_out:
+        raise click.UsageError("--interior goes with --leave-one-out")
+    rule = blending or "unstructured"
+    summary = _evaluate_scene(path, dataset, poses, quality, rule, progress, interior=interior)
     print_summary(summary, as_json)
 
 
@@ -108,8 +118,11 @@ def _evaluate_scene(
     quality: str | None,
     blending: str,
     progress: "Progress",
+    *,
+    interior: bool,
 ) -> "Summary":
     from pipelines.lightfield.blending import Blending
     from pipelines.lightfield.evaluation import evaluate_scene
 
-    return evaluate_scene(scene, dataset, poses, quality, Blending[blending.upper()], progress)
+    rule = Blending[blending.upper()]
+    return evaluate_scene(scene, dataset, poses, quality, rule, progress, interior=interior)

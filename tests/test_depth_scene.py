@@ -8,59 +8,17 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from pipelines.artifacts.array_types import FloatArray, ImageArray
 from pipelines.artifacts.progress import no_progress
-from pipelines.dataset.images import encode_png
-from pipelines.geometry.trajectory import Trajectory, format_tum
 from pipelines.lightfield import depth_maps
 from pipelines.lightfield.bundle import load_scene
 from pipelines.lightfield.depth import estimate_depth
+from pipelines.lightfield.held_out import lie_amid_others
 from pipelines.lightfield.image_quality import psnr, ssim
 from pipelines.lightfield.stage import ModelSettings, model
 from tests.chain_samples import lfnav, succeed
-from tests.lightfield_samples import looking, pinhole, pinhole_rays, pixels_of, waves
-
-CAMERA = pinhole(96, 72, 84.0)
-# A board stands 1.2 m before the wall y = 0 and hides a part of it, another one from every place.
-BOARD_Y, BOARD_LEFT, BOARD_RIGHT = -1.2, -0.5, 0.4
-MAP_PLACES = [[x, -4.0 + 0.3 * (i % 2), 1.0] for i, x in enumerate(np.linspace(-1.0, 1.0, 7))]
-TEST_PLACES = [[-0.45, -3.7, 1.05], [0.2, -3.9, 0.95]]
-
-
-def seen(pose: FloatArray) -> tuple[ImageArray, FloatArray]:
-    """Photo and depth (metres along z) of the wall and the board, ray by ray."""
-    rays = pinhole_rays(CAMERA, pixels_of(CAMERA)) @ pose[:3, :3].T
-    to_board = (BOARD_Y - pose[1, 3]) / rays[..., 1]
-    x = pose[0, 3] + to_board * rays[..., 0]
-    on_board = (x > BOARD_LEFT) & (x < BOARD_RIGHT)
-    depth = np.where(on_board, to_board, -pose[1, 3] / rays[..., 1])
-    points = pose[:3, 3] + depth[..., None] * rays
-    # The board has a finer texture of its own.
-    colours = np.where(on_board[..., None], waves(3.0 * points + 5.0), waves(2.0 * points))
-    return np.rint(colours).astype(np.uint8), depth
-
-
-def write_dataset(root: Path, places: list[list[float]]) -> Path:
-    """A data set of body = camera with exact poses and depth images."""
-    poses = np.array([looking(place, [place[0] * 0.3, 0.0, 1.0]) for place in places])
-    (root / "rgb").mkdir(parents=True)
-    (root / "depth").mkdir()
-    for index, pose in enumerate(poses):
-        image, depth = seen(pose)
-        (root / f"rgb/{index}.png").write_bytes(encode_png(image))
-        levels = np.rint(depth * 5000.0).astype(np.uint16)
-        (root / f"depth/{index}.png").write_bytes(cv2.imencode(".png", levels)[1].tobytes())
-    for kind in ("rgb", "depth"):
-        lines = [f"{index}.0 {kind}/{index}.png" for index in range(len(poses))]
-        (root / f"{kind}.txt").write_text("\n".join(lines) + "\n")
-    times = np.arange(len(poses), dtype=np.float64)
-    (root / "groundtruth.txt").write_text(format_tum(Trajectory(times, poses)))
-    (root / "camera.toml").write_text(
-        f'model = "PINHOLE"\nwidth = {CAMERA.width}\nheight = {CAMERA.height}\n'
-        f"params = {CAMERA.vector().tolist()}\ndepth_scale = 5000\n"
-    )
-    return root
+from tests.depth_samples import MAP_PLACES, TEST_PLACES, seen, write_dataset
 
 
 @pytest.fixture
@@ -204,8 +162,44 @@ def test_quality_needs_depth_maps(reconstruction: Path, tmp_path: Path) -> None:
     outcome = lfnav("evaluate", scene, "--leave-one-out", "--quality", "fine")
     assert outcome.code == 1
     assert "needs depth maps" in outcome.err
+    outcome = lfnav("evaluate", scene, "--leave-one-out", "--interior")
+    assert outcome.code == 1
+    assert "no view was taken amid the others" in outcome.err
+    assert lfnav("evaluate", scene, "--interior", "--dataset", tmp_path / "map").code == 2
     for options in ([], ["--leave-one-out", "--dataset", tmp_path / "map"], ["--estimate", "mode"]):
         assert lfnav("evaluate", scene, *options).code == 2
+
+
+def test_only_views_amid_the_others_are_left_out_if_asked(tmp_path: Path) -> None:
+    corners = [[x, y, 1.0] for x in (-0.6, 0.6) for y in (-4.2, -3.6)]
+    data = write_dataset(tmp_path / "map", [*corners, [0.1, -3.9, 1.0]])
+    poses = data / "groundtruth.txt"
+    succeed("reconstruct", data, "-o", tmp_path / "r", "--method", "poses", "--poses", poses)
+    scene = tmp_path / "scene.h5"
+    succeed("model", tmp_path / "r", "-o", scene, "--plane", "0,1,0,0")
+    every = evaluated(scene, "--leave-one-out")
+    interior = evaluated(scene, "--leave-one-out", "--interior")
+    assert every["frames"] == 5
+    assert interior["frames"] == 1
+    assert interior["psnr_db"]["per_frame"] == every["psnr_db"]["per_frame"][4:]
+    assert "1 interior views of 5" in interior["against"]
+
+
+def test_positions_amid_the_others() -> None:
+    turn = Rotation.from_euler("xyz", [0.3, -0.8, 1.1]).as_matrix()
+    grid = np.array([[x, y, 0.0] for x in range(5) for y in range(4)], dtype=np.float64)
+    inside = (grid[:, 0] % 4 != 0) & (grid[:, 1] % 3 != 0)
+    wobble = np.random.default_rng(0).normal(0.0, 0.002, grid.shape)
+    for places in (grid, grid + wobble):
+        found = lie_amid_others(places @ turn.T + [5.0, -3.0, 1.0])
+        np.testing.assert_array_equal(found, inside)
+    line = np.outer([0.0, 3.0, 1.0, 4.0, 0.001], [1.0, 2.0, -1.0])
+    assert lie_amid_others(line).tolist() == [False, True, True, False, False]
+    box = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=np.float64)
+    found = lie_amid_others(np.vstack([box, [[0.5, 0.4, 0.6], [0.5, 0.5, 1.0]]]))
+    assert found.tolist() == [False] * 8 + [True, False]
+    assert not lie_amid_others(np.ones((3, 3))).any()
+    assert not lie_amid_others(np.zeros((1, 3))).any()
 
 
 def test_psnr_and_ssim_by_their_formulas() -> None:

@@ -5,7 +5,6 @@ Beside the rendering stand two baselines: the nearest photo as it is, and the sa
 a single plane.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,24 +13,22 @@ import cv2
 import numpy as np
 
 from pipelines.artifacts.array_types import BoolArray, FloatArray, ImageArray
-from pipelines.artifacts.errors import InputError, StageError
+from pipelines.artifacts.errors import StageError
 from pipelines.artifacts.progress import Progress
-from pipelines.dataset.dataset import (
-    CAMERA_FILE,
-    GROUNDTRUTH_FILE,
-    Dataset,
-    load_dataset,
-    poses_at_images,
-)
-from pipelines.geometry.camera import Intrinsics, Undistorter
-from pipelines.geometry.trajectory import read_tum
+from pipelines.dataset.dataset import load_dataset
 from pipelines.lightfield.blending import Blending
 from pipelines.lightfield.bundle import load_scene
+from pipelines.lightfield.held_out import (
+    HeldOut,
+    lie_amid_others,
+    photos_of_dataset,
+    views_one_by_one,
+)
 from pipelines.lightfield.image_quality import psnr, ssim
 from pipelines.lightfield.proxy import TURN_COST, Quality, quality_named
 from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.scene import Scene
-from pipelines.lightfield.views import Views, views_of_scene, without_view
+from pipelines.lightfield.views import views_of_scene
 
 METHODS = ("light_field", "plane", "nearest_photo")
 MEASURES = ("psnr_db", "ssim", "coverage")
@@ -90,16 +87,6 @@ class SceneEvaluation:
         }
 
 
-@dataclass(frozen=True)
-class _HeldOut:
-    """A photo that the light field does not hold, where it was taken, and the light field."""
-
-    image: ImageArray
-    intrinsics: Intrinsics
-    world_from_camera: FloatArray
-    views: Views
-
-
 def evaluate_scene(
     scene_path: Path,
     dataset: Path | None,
@@ -107,6 +94,8 @@ def evaluate_scene(
     quality: str | None,
     blending: Blending,
     progress: Progress,
+    *,
+    interior: bool = False,
 ) -> SceneEvaluation:
     """Renders held-out photos at their known poses and compares.
 
@@ -117,10 +106,11 @@ def evaluate_scene(
         quality: name of a ``Quality``; None: the finest that the scene has depth maps for.
         blending: the rule.
         progress: told how far the work is.
+        interior: without a data set: only views that were taken amid the others.
 
     Raises:
         InputError: the data set has no camera or no poses, or something cannot be read.
-        StageError: a scene of one view has nothing to leave out.
+        StageError: a scene of one view has nothing to leave out, or no view lies amid the others.
     """
     scene = load_scene(scene_path)
     chosen = quality_named(quality, bool(scene.depth), Quality.FINE)
@@ -128,12 +118,17 @@ def evaluate_scene(
     if dataset is None:
         if len(scene) < 2:
             raise StageError(f"{scene_path} holds one view: nothing is left when it is left out")
-        held_out, count = _views_one_by_one(scene, views), len(scene)
+        left_out = np.flatnonzero(lie_amid_others(views.centres) | (not interior)).tolist()
+        if not left_out:
+            raise StageError(f"{scene_path}: no view was taken amid the others")
+        held_out, count = views_one_by_one(scene, views, left_out), len(left_out)
         against = "each view from the others"
+        if interior:
+            against = f"{count} interior views of {len(scene)}, each from the others"
     else:
         frames = load_dataset(dataset)
         count = len(frames)
-        held_out = _frames(frames, poses, views)
+        held_out = photos_of_dataset(frames, poses, views)
         against = f"{count} photos of {dataset.resolve().name}"
     values: dict[str, dict[str, list[float]]] = {
         method: {measure: [] for measure in MEASURES} for method in METHODS
@@ -152,32 +147,8 @@ def evaluate_scene(
     )
 
 
-def _views_one_by_one(scene: Scene, views: Views) -> Iterator[_HeldOut]:
-    for index in range(len(scene)):
-        yield _HeldOut(
-            np.ascontiguousarray(views.level(index, 0)),
-            views.intrinsics[index],
-            scene.world_from_camera[index],
-            without_view(views, index),
-        )
-
-
-def _frames(dataset: Dataset, poses: Path | None, views: Views) -> Iterator[_HeldOut]:
-    if dataset.camera is None:
-        raise InputError(dataset.root / CAMERA_FILE, "is missing: the photos' camera must be known")
-    source = dataset.root / GROUNDTRUTH_FILE if poses is None else poses
-    trajectory = dataset.groundtruth if poses is None else read_tum(poses)
-    if trajectory is None:
-        raise InputError(source, "is missing: poses are needed to render at", "--poses")
-    camera_poses = poses_at_images(dataset, trajectory, source) @ dataset.body_from_camera
-    undistorter = Undistorter(dataset.camera)
-    for index, pose in enumerate(camera_poses):
-        image = undistorter(dataset.read_image(index))
-        yield _HeldOut(image, undistorter.intrinsics, pose, views)
-
-
 def _shown(
-    photo: _HeldOut, scene: Scene, quality: Quality, blending: Blending
+    photo: HeldOut, scene: Scene, quality: Quality, blending: Blending
 ) -> dict[str, tuple[ImageArray, BoolArray]]:
     """What each method shows at the photo's pose, and which pixels it covers."""
     shown = {"nearest_photo": _nearest_photo(photo)}
@@ -191,7 +162,7 @@ def _shown(
     return shown
 
 
-def _nearest_photo(photo: _HeldOut) -> tuple[ImageArray, BoolArray]:
+def _nearest_photo(photo: HeldOut) -> tuple[ImageArray, BoolArray]:
     """The photo taken from the nearest place in the most similar direction, as it is."""
     arrays = photo.views.arrays
     pose = photo.world_from_camera

@@ -65,7 +65,7 @@ def render_reference(
         width, height = views.arrays.level_size[view, 0]
         seen[view] = sees(target, width, height) & (surface > 0.0)
         hidden[view] = occluded(views, int(view), target, surface)
-        colours[view] = _sample(views, int(view), target, seen[view], focal)
+        colours[view] = sample_view(views, int(view), target, seen[view], focal)
     if blending is Blending.DELAUNAY:
         weights = _net_weights(views, usable, world_from_camera, intrinsics)
     else:
@@ -123,10 +123,22 @@ def _net_weights(
     return PixelWeights(indices[net.views], net.weights)
 
 
-def _sample(
+def sample_view(
     views: Views, view: int, target: FloatArray, seen: BoolArray, focal: float
 ) -> FloatArray:
-    """Bilinear samples of one view at the pyramid level that suits each pixel, ``(H, W, 3)``."""
+    """Bilinear samples of one view at the pyramid level that suits each pixel.
+
+    Args:
+        views: the light field.
+        view: which.
+        target: ``(..., 3)`` homogeneous pixels in the view, the third component being the depth in
+            the view divided by the virtual depth.
+        seen: ``(...)`` where to sample; elsewhere the result is zero.
+        focal: of the virtual camera, pixels.
+
+    Returns:
+        ``(..., 3)`` RGB.
+    """
     result = np.zeros((*seen.shape, 3))
     depth = target[seen][:, 2]
     position = target[seen][:, :2] / depth[:, None]
