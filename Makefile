@@ -35,7 +35,7 @@ help:
 	@echo "make experiments  many seeds and settings -> out/experiments/table.md; rebuilds only what changed"
 	@echo "make test         the test suite; 'make test-slow' runs the slow tests"
 	@echo "make lint         ruff and mypy"
-	@echo "make bench        measures the renderer"
+	@echo "make bench        measures rendering, depth, opening, memory"
 	@echo "make clean        removes out/ and caches; $(VENV) stays"
 
 # ---------------------------------------------------------------------------- installation
@@ -105,7 +105,7 @@ format: $(STAMP)
 	$(VENV_PYTHON) -m ruff format .
 
 bench: $(STAMP)
-	$(VENV_PYTHON) benchmarks/run.py
+	$(VENV_PYTHON) -m benchmarks.run
 
 clean:
 	rm -rf out build .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -1,9 +1,13 @@
 """The benchmark compares like with like: OpenCV computes the same images and costs."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from benchmarks.run import (
+from benchmarks.comparison import (
     OPENCV,
     Work,
     fused_costs,
@@ -13,15 +17,24 @@ from benchmarks.run import (
     ratios,
     table,
     work_of,
-    workshop_scene,
 )
+from benchmarks.scenes import ROOT, repeated, with_wall_as_depth, workshop_scene
+from benchmarks.timing import Timing, median_times, timing_table
+from pipelines.geometry.plane import plane_from_coefficients
 from pipelines.lightfield.blending import Blending
+from pipelines.lightfield.bundle import load_scene, save_scene
 from pipelines.lightfield.renderer import Renderer
+from pipelines.lightfield.scene import Scene
 
 
 @pytest.fixture(scope="module")
-def work() -> Work:
-    return work_of(workshop_scene(), 40, 30, count=6)
+def scene() -> Scene:
+    return workshop_scene()
+
+
+@pytest.fixture(scope="module")
+def work(scene: Scene) -> Work:
+    return work_of(scene, 40, 30, count=6)
 
 
 def renderer_of(work: Work, blending: Blending) -> Renderer:
@@ -54,11 +67,55 @@ def test_three_views_are_blended_at_every_pixel(work: Work) -> None:
     assert np.all(work.views.arrays.level_size[:, 0] == [80, 60])
 
 
-def test_the_table_shows_times_and_ratios() -> None:
-    row = {OPENCV: 200.0, "fused, delaunay, 3 views": 100.0, "fused, unstructured, 3 views": 150.0}
+def test_the_table_shows_times_and_how_many_times_as_fast() -> None:
+    row = {OPENCV: 200.0, "fused, delaunay, 3 views": 100.0, "fused, unstructured, 3 views": 400.0}
     figures = {"40x30": row, "80x60": {name: 4.0 * value for name, value in row.items()}}
-    assert ratios(figures, Blending.DELAUNAY) == {"40x30": 0.5, "80x60": 0.5}
+    assert ratios(figures, Blending.DELAUNAY) == {"40x30": 2.0, "80x60": 2.0}
+    assert ratios(figures, Blending.UNSTRUCTURED) == {"40x30": 0.5, "80x60": 0.5}
     figures["40x30"] = {**row, "once": 5000.0}
     lines = table(figures).splitlines()
-    assert lines[3] == "| fused, delaunay, 3 views | 100 (0.50) | 400 (0.50) |"
-    assert lines[-1] == "| once | 5000 (25.00) |  |"
+    assert lines[1] == "|---|---:|---:|"
+    assert lines[3] == "| fused, delaunay, 3 views | 100 (2.00) | 400 (2.00) |"
+    assert lines[-1] == "| once | 5000 (0.04) |  |"
+
+
+def test_tasks_take_turns_and_the_first_does_not_count() -> None:
+    calls: list[str] = []
+    times = median_times({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, 3)
+    assert calls == ["a", "b"] * 4
+    assert set(times) == {"a", "b"}
+    assert Timing(6.0, 3.0).of_each(3) == Timing(2.0, 1.0)
+    rows = timing_table("what", {"x": Timing(0.5, 0.25).to_dict()}).splitlines()
+    assert rows == ["| what | CPU (ms) | wall (ms) |", "|---|---:|---:|", "| x | 500 | 250 |"]
+
+
+def test_repeated_photos_are_a_scene_that_opens(scene: Scene, tmp_path: Path) -> None:
+    many = repeated(scene, 100)
+    save_scene(tmp_path / "many.h5", many, overwrite=False)
+    opened = load_scene(tmp_path / "many.h5")
+    assert len(opened) == len(np.unique(opened.world_from_camera, axis=0)) == 100
+    assert (opened.cameras[0].width, opened.cameras[0].height) == (640, 480)
+
+
+def test_depth_of_the_wall_is_where_the_wall_is(scene: Scene) -> None:
+    """The camera's axis meets y = 0 at as many metres as the depth map says."""
+    deep = with_wall_as_depth(scene)
+    wall = plane_from_coefficients((0.0, -1.0, 0.0, 0.0))
+    for index in (0, 17, 39):
+        pose, depth = deep.world_from_camera[index], deep.depth[index].inverse_depth
+        assert depth.shape == (360, 480)
+        metres = 1.0 / float(depth[179:181, 239:241].mean())
+        assert abs(wall.signed_distance(pose[:3, 3] + metres * pose[:3, 2])) < 0.01
+
+
+def test_peak_memory_is_the_largest_not_the_last() -> None:
+    code = (
+        "from benchmarks.memory import own_peak\n"
+        "import numpy as np\n"
+        "before = own_peak()\n"
+        "np.ones(25_000_000)\n"
+        "print(own_peak() - before)"
+    )
+    command = [sys.executable, "-c", code]
+    output = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, cwd=ROOT)
+    assert 190e6 < int(output.stdout) < 230e6
