@@ -9,6 +9,7 @@
 #                                                          -> out/experiments/SET/VARIANT/seed-N.h5
 #   seed-N.h5                                              -> seed-N.json, and a report of the first
 #   all seed-N.json                                        -> out/experiments/table.md
+#   sample_data/elevators, settings/elevators/doors.toml   -> out/experiments/view-dependence/
 
 EXPERIMENTS := out/experiments
 SETTINGS := experiments/settings
@@ -65,11 +66,28 @@ $(EXPERIMENTS)/table.md: $(EVALUATIONS) $(SETTINGS)/seeds.txt experiments/summar
 	$(VENV_PYTHON) experiments/summarize.py $(EVALUATIONS) > $@.part
 	mv $@.part $@
 
+# What view-dependent appearance is worth on the doors: a light field with depth at true poses.
+APPEARANCE := $(EXPERIMENTS)/view-dependence
+VIEW_DEPENDENCE := $(VENV_PYTHON) experiments/view_dependence.py
+STUDIES := $(APPEARANCE)/study/table.md
+
+$(APPEARANCE)/map/reconstruction.json: $(call images,elevators,map) $(DATA)/elevators/map/groundtruth.txt | $(STAMP)
+	$(LFNAV) reconstruct $(DATA)/elevators/map -o $(@D) --method poses \
+		--poses $(DATA)/elevators/map/groundtruth.txt --overwrite
+
+$(APPEARANCE)/scene.h5: $(APPEARANCE)/map/reconstruction.json | $(STAMP)
+	$(LFNAV) model $(<D) -o $@ --geometry depth --overwrite
+
+$(APPEARANCE)/study/table.md: $(APPEARANCE)/scene.h5 $(SETTINGS)/elevators/doors.toml \
+		$(call images,elevators,test) $(DATA)/elevators/test/groundtruth.txt \
+		experiments/view_dependence.py | $(STAMP)
+	$(VIEW_DEPENDENCE) $< $(SETTINGS)/elevators/doors.toml $(DATA)/elevators/test -o $(@D)
+
 # Runs and scenes are results, not stepping stones that may be deleted.
 .SECONDARY:
 
 .PHONY: experiments
-experiments: $(EXPERIMENTS)/table.md $(REPORTS)
-	@cat $(EXPERIMENTS)/table.md
+experiments: $(EXPERIMENTS)/table.md $(REPORTS) $(STUDIES)
+	@cat $(EXPERIMENTS)/table.md $(STUDIES)
 	@echo "== Table: $(EXPERIMENTS)/table.md. Reports of seed $(firstword $(SEEDS)):"
 	@printf '==   %s\n' $(REPORTS)

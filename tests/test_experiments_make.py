@@ -30,6 +30,7 @@ output=$2
 case $command in
     reconstruct) output=$output/reconstruction.json ;;
     report) output=$output/report.html ;;
+    view-dependence) output=$output/table.md ;;
 esac
 mkdir -p "$(dirname "$output")"
 echo made > "$output"
@@ -79,6 +80,7 @@ class Workspace:
             if name not in {"MAKEFLAGS", "MAKELEVEL", "MFLAGS"}
         }
         overrides = [f"LFNAV={self.stand_in}", "STAMP=", f"VENV_PYTHON={sys.executable}"]
+        overrides.append(f"VIEW_DEPENDENCE={self.stand_in} view-dependence")
         result = subprocess.run(
             ["make", "experiments", *overrides, *arguments],
             cwd=self.root,
@@ -104,8 +106,9 @@ def built_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
     workspace = Workspace(tmp_path_factory.mktemp("workspace"))
     workspace.fill()
     calls = workspace.make()
-    # 2 maps, 2 models; 5 variants with 2 runs, 2 evaluations and a report each.
-    assert len(calls) == 2 + 2 + 5 * (2 + 2 + 1)
+    # 2 maps, 2 models; 5 variants with 2 runs, 2 evaluations and a report each; map, model and
+    # table of the study of appearance.
+    assert len(calls) == 2 + 2 + 5 * (2 + 2 + 1) + 3
     return workspace.root
 
 
@@ -127,7 +130,8 @@ def test_nothing_changed_makes_nothing(built: Workspace) -> None:
 def test_a_map_image_rebuilds_its_set_only(built: Workspace) -> None:
     built.change("sample_data/elevators/map/rgb/0001.jpg")
     calls = built.make()
-    expected = {"reconstruct": 1, "model": 1, "localize": 6, "evaluate": 6, "report": 3}
+    expected = {"reconstruct": 2, "model": 2, "localize": 6, "evaluate": 6, "report": 3}
+    expected["view-dependence"] = 1
     assert commands(calls) == sorted(name for name, n in expected.items() for _ in range(n))
     assert not [call for call in calls if "workshop" in call]
 
@@ -184,9 +188,18 @@ def test_another_seed_adds_its_runs_and_the_table_only(built: Workspace) -> None
     assert "| elevators | condensation | 3 of 3 | 0.040 | 0.04 | 0.040 | 0.50 |" in table
 
 
-def test_ground_truth_is_no_input_of_the_map(built: Workspace) -> None:
-    built.change("sample_data/elevators/map/groundtruth.txt")
+def test_ground_truth_is_no_input_of_a_map_that_is_localized_in(built: Workspace) -> None:
+    built.change("sample_data/workshop/map/groundtruth.txt")
     assert built.make() == []
+    built.change("sample_data/elevators/map/groundtruth.txt")
+    calls = built.make()
+    assert commands(calls) == ["model", "reconstruct", "view-dependence"]
+    assert all("out/experiments/view-dependence/" in call for call in calls)
+
+
+def test_the_parts_of_a_study_are_its_own(built: Workspace) -> None:
+    built.change("experiments/settings/elevators/doors.toml")
+    assert commands(built.make()) == ["view-dependence"]
 
 
 def test_a_failed_stage_stops_and_is_tried_again(built: Workspace) -> None:
