@@ -149,11 +149,12 @@ def test_bad_depth_is_one_line(
         (data / "depth/2.png").write_bytes(cv2.imencode(".png", values)[1].tobytes())
     output = tmp_path / "scene.h5"
     options = ["--geometry", "depth", "--depth", "given", "--plane", "0,1,0,0"]
+    before = sorted(tmp_path.rglob("*"))
     outcome = lfnav("model", reconstruction, "-o", output, *options)
     assert outcome.code == 1
     assert len(outcome.err.strip().splitlines()) == 1
     assert reason in outcome.err
-    assert not output.exists()
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 def test_quality_needs_depth_maps(reconstruction: Path, tmp_path: Path) -> None:
