@@ -126,6 +126,17 @@ class Camera:
         # A fisheye with zero coefficients is still equidistant, not a pinhole.
         return self.model == "OPENCV_FISHEYE" or bool(np.any(self.distortion != 0.0))
 
+    def rays(self, pixels: FloatArray) -> FloatArray:
+        """Directions ``(N, 3)`` with z = 1, camera coordinates, that pixels ``(N, 2)`` see."""
+        if len(pixels) == 0:
+            return np.empty((0, 3))
+        matrix, coefficients = self.intrinsics.matrix(), self.distortion
+        if self.model == "OPENCV_FISHEYE":
+            flat = cv2.fisheye.undistortPoints(pixels[:, None], matrix, coefficients)
+        else:
+            flat = cv2.undistortPoints(pixels[:, None], matrix, coefficients)
+        return np.column_stack([np.asarray(flat, np.float64)[:, 0], np.ones(len(pixels))])
+
 
 def cameras_text(cameras: Sequence[Camera]) -> str:
     """Models and sizes for people, equal ones counted: ``"81 x PINHOLE 384x384"``."""

@@ -9,7 +9,6 @@ import sqlite3
 from contextlib import closing
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from pipelines.artifacts.array_types import FloatArray
@@ -85,12 +84,8 @@ def _explained(pixel_errors: FloatArray) -> bool:
 
 def _known_rays(pixels: FloatArray, camera: Camera) -> FloatArray:
     """Unit rays ``(N, 3)`` of pixels ``(N, 2)``, distortion removed."""
-    matrix, coefficients = camera.intrinsics.matrix(), camera.distortion
-    if camera.model == "OPENCV_FISHEYE":
-        flat = cv2.fisheye.undistortPoints(pixels[:, None], matrix, coefficients)
-    else:
-        flat = cv2.undistortPoints(pixels[:, None], matrix, coefficients)
-    return _rays(np.asarray(flat, dtype=np.float64)[:, 0])
+    rays = camera.rays(pixels)
+    return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
 
 def _rays(flat: FloatArray) -> FloatArray:

@@ -9,19 +9,15 @@ import json
 import logging
 import os
 import queue
-import signal
-import subprocess
-import sys
 import tempfile
-import threading
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
-import pipelines
 from pipelines.artifacts.errors import InputError, StageError
 from pipelines.artifacts.progress import Progress
+from pipelines.artifacts.worker_process import WorkerProcess, worker_command
 from pipelines.dataset.dataset import Dataset
 from pipelines.dataset.images import image_header
 from pipelines.geometry.camera import Camera
@@ -48,14 +44,12 @@ SEQUENTIAL_OVERLAP = 10
 LOOP_PERIOD = 10
 POLL_SECONDS = 0.3
 MAX_THREADS = 16
-QUOTED_CHARACTERS = 300
 ESTIMATED_CAMERA_MODEL = "SIMPLE_RADIAL"
 # Table of COLMAP's database that grows while a phase runs.
 COUNTED_TABLES = {"features": "keypoints", "matching": "two_view_geometries"}
 PHASE_TEXTS = {"features": "finding features", "matching": "matching images"}
 
-# -P: without the current folder among the places that are searched for modules.
-WORKER_COMMAND = (sys.executable, "-P", "-m", "pipelines.reconstruct.sfm_worker")
+WORKER_COMMAND = worker_command("pipelines.reconstruct.sfm_worker")
 
 _log = logging.getLogger(__name__)
 
@@ -257,50 +251,22 @@ def _best_model(
 
 
 class _Worker:
-    """The worker process; killed when the block ends, however it ends."""
+    """The worker process and what it is doing; killed when the block ends, however it ends."""
 
     def __init__(self, request: Request, folder: Path) -> None:
-        self.folder = folder
         self.database = Path(request.database)
-        self.log_path = folder / "worker.log"
         self.last_event: dict[str, Any] = {"phase": "start"}
-        self._lines: queue.Queue[str | None] = queue.Queue()
         request_path = folder / "request.json"
         request_path.write_text(json.dumps(asdict(request)), encoding="utf-8")
-        self._command = [*WORKER_COMMAND, str(request_path)]
+        command = (*WORKER_COMMAND, str(request_path))
+        self._process = WorkerProcess(command, folder, "structure from motion")
 
     def __enter__(self) -> "_Worker":
-        # With -P and the explicit path nothing is imported from whatever folder this runs in.
-        home = str(Path(next(iter(pipelines.__path__))).parent)
-        search = [home, *filter(None, [os.environ.get("PYTHONPATH")])]
-        with self.log_path.open("wb") as log:
-            self._process = subprocess.Popen(
-                self._command,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=log,
-                cwd=self.folder,
-                env={**os.environ, "PYTHONPATH": os.pathsep.join(search)},
-                text=True,
-                encoding="utf-8",
-            )
-        output = self._process.stdout
-        if output is None:
-            raise StageError("the worker for structure from motion has no output")
-        threading.Thread(target=self._read, args=(output,), daemon=True).start()
+        self._process.__enter__()
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self._process.kill()
-        self._process.wait()
-        for stream in (self._process.stdin, self._process.stdout):
-            if stream is not None:
-                stream.close()
-
-    def _read(self, output: IO[str]) -> None:
-        for line in output:
-            self._lines.put(line)
-        self._lines.put(None)
+    def __exit__(self, *exception: object) -> None:
+        self._process.__exit__(*exception)
 
     def next_event(self, timeout: float | None = None) -> dict[str, Any]:
         """The next event; ``queue.Empty`` after ``timeout`` seconds.
@@ -308,15 +274,9 @@ class _Worker:
         Raises:
             StageError: the worker ended before it was done.
         """
-        line = self._lines.get(timeout=timeout)
-        if line is None:
-            raise StageError(self._epitaph())
-        try:
-            event = json.loads(line)
-        except ValueError:
-            event = None
-        if not isinstance(event, dict) or "phase" not in event:
-            raise StageError(f"the worker for structure from motion said {line!r}")
+        event = self._process.read(timeout)
+        if "phase" not in event:
+            raise StageError(f"the worker for structure from motion said {event!r}")
         if event["phase"] != "image":
             self.last_event = event
         return event
@@ -342,25 +302,3 @@ class _Worker:
             while done < min(finished, total):
                 done += 1
                 yield done
-
-    def _epitaph(self) -> str:
-        """Why the worker ended, in one line."""
-        code = self._process.wait()
-        said = _last_words(self.log_path)
-        how = f"exit code {code}"
-        if code < 0:
-            how = signal.Signals(-code).name
-            if -code == signal.SIGKILL:
-                how += ", out of memory?"
-        return f"structure from motion crashed ({how}): {said}"
-
-
-def _last_words(log_path: Path) -> str:
-    """The line of a log that tells best what went wrong."""
-    lines = log_path.read_text(encoding="utf-8", errors="replace").splitlines()
-    lines = [line.strip() for line in lines if line.strip()]
-    # glog marks errors by E and fatal ones by F and the date; stack traces begin with an @.
-    grave = [line for line in lines if line[:1] in "EF" and line[1:5].isdigit()]
-    spoken = [line for line in lines if not line.startswith(("@", "***"))]
-    chosen = (grave or spoken or ["it left no message"])[-1]
-    return chosen[:QUOTED_CHARACTERS]

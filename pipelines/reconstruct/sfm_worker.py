@@ -1,24 +1,25 @@
 """Structure from motion with pycolmap, in a process of its own.
 
-Started by ``sfm`` as ``python -m pipelines.reconstruct.sfm_worker REQUEST``. It is the only module
-that imports pycolmap, and it never imports numba or anything that might: pycolmap brings a zlib of
-its own, and the two in one process abort. Nothing here but the standard library and pycolmap.
+Started by ``sfm`` as ``python -m pipelines.reconstruct.sfm_worker REQUEST``. Only workers
+import pycolmap, and they never import numba or anything that might: pycolmap brings a zlib of its
+own, and the two in one process abort. Nothing here but the standard library, pycolmap and the other
+end of the pipe.
 
 Protocol: the request is a JSON file (``Request``); events are JSON lines on stdout; pycolmap's
 chatter goes to stderr; stdin stays open as long as the parent lives. A failed attempt is no error
 here, the parent judges what came out.
 """
 
-import ctypes
 import json
 import os
-import signal
 import sys
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from pipelines.artifacts.worker_process import die_with_parent, own_output
 
 # Degrees between the two first views. COLMAP's default of 16 is safest, but pictures taken facing
 # forward do not have it.
@@ -27,7 +28,6 @@ WIDE_FIRST_ANGLE, NARROW_FIRST_ANGLE = 16.0, 4.0
 GOOD_SHARE = 0.95
 # Sums over several threads come out in another order every time, and so does the result.
 MAPPING_THREADS = 1
-PR_SET_PDEATHSIG = 1  # from linux/prctl.h
 
 
 @dataclass(frozen=True)
@@ -217,8 +217,7 @@ def _models_in(folder: Path) -> list[tuple[str, int]]:
 
 def _die_with_parent() -> None:
     """Ends this process when the parent is gone, however it went."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    die_with_parent()
 
     def wait_for_end_of_input() -> None:
         os.read(0, 1)
@@ -231,8 +230,7 @@ def main(arguments: list[str]) -> None:
     """Reads the request and runs it."""
     _die_with_parent()
     # Whatever a library prints must not mix with the events.
-    events = os.fdopen(os.dup(1), "w", buffering=1, encoding="utf-8")
-    os.dup2(2, 1)
+    events = own_output()
 
     def emit(event: dict[str, Any]) -> None:
         events.write(json.dumps(event) + "\n")
