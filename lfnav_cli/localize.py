@@ -1,13 +1,13 @@
 """``lfnav localize``: the particle filter over a data set."""
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from lfnav_cli.common import (
-    blending_option,
     common_options,
     json_option,
     overwrite_option,
@@ -19,26 +19,49 @@ from lfnav_cli.common import (
 if TYPE_CHECKING:
     from pipelines.artifacts.progress import Progress
 
-parse_start = parse_numbers(3, "X,Y,DEG")
+parse_planar_start = parse_numbers(3, "X,Y,DEG")
+parse_spatial_start = parse_numbers(6, "X,Y,Z,RX,RY,RZ")
 
 
 def _parse_init(
-    context: click.Context, parameter: click.Parameter, value: str
-) -> tuple[float, float, float] | None:
-    """``uniform`` becomes None, X,Y,DEG a state in metres and radians."""
-    if value == "uniform":
+    context: click.Context, parameter: click.Parameter, value: str | None
+) -> tuple[float, ...] | None:
+    """``uniform`` becomes (), X,Y,DEG or X,Y,Z,RX,RY,RZ a state in metres and radians."""
+    if value is None:
         return None
-    numbers = parse_start(context, parameter, value)
+    if value == "uniform":
+        return ()
+    is_planar = value.count(",") == 2
+    numbers = (parse_planar_start if is_planar else parse_spatial_start)(context, parameter, value)
     if numbers is None:
         return None
-    return numbers[0], numbers[1], math.radians(numbers[2])
+    positions = 2 if is_planar else 3
+    return (*numbers[:positions], *map(math.radians, numbers[positions:]))
+
+
+def _missing(values: Mapping[str, Path | None]) -> click.MissingParameter:
+    """The error for the first parameter that has no value: only --print-config does without."""
+    context = click.get_current_context()
+    missing = [item for item in context.command.params if item.name in values]
+    return click.MissingParameter(
+        ctx=context, param=next(item for item in missing if values[item.name or ""] is None)
+    )
 
 
 @click.command("localize")
-@click.argument("scene", type=click.Path(path_type=Path))
-@click.argument("dataset", type=click.Path(path_type=Path))
+@click.argument("scene", metavar="SCENE", required=False, type=click.Path(path_type=Path))
+@click.argument("dataset", metavar="DATASET", required=False, type=click.Path(path_type=Path))
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Run file to write.")
 @click.option(
-    "-o", "--output", required=True, type=click.Path(path_type=Path), help="Run file to write."
+    "--config",
+    metavar="FILE.toml",
+    type=click.Path(path_type=Path),
+    help="Settings; options given here win over it, and it wins over the defaults.",
+)
+@click.option(
+    "--print-config",
+    is_flag=True,
+    help="Print all settings as a config file and end; needs no SCENE, DATASET or -o.",
 )
 @click.option(
     "--odometry",
@@ -53,34 +76,34 @@ def _parse_init(
 )
 @click.option(
     "--init",
-    default="uniform",
-    show_default=True,
-    metavar="uniform|X,Y,DEG",
+    metavar="uniform|X,Y,DEG|X,Y,Z,RX,RY,RZ",
     callback=_parse_init,
-    help="Start anywhere in the area, or around a pose.",
+    help="Start anywhere in the area (the default), or around a pose; with --dof 6 RX,RY,RZ is its "
+    "rotation vector in degrees.",
 )
 @click.option(
-    "--particles", type=int, default=195, show_default=True, help="Particles kept while tracking."
+    "--dof",
+    "degrees_of_freedom",
+    type=click.Choice(["3", "6"]),
+    help="3: a robot on the floor (the default). 6: a hand-held camera or a drone.",
 )
+@click.option("--particles", type=int, help="Particles kept while tracking. Default: 195.")
 @click.option(
     "--start-particles",
     type=int,
-    help="Particles at the start of a search (coarse_to_fine). Default: 20000, or --particles "
-    "where that is more.",
+    help="Hypotheses that a search begins with. Default: 6000 (informed), 20000 (coarse_to_fine).",
 )
 @click.option(
     "--strategy",
-    type=click.Choice(["coarse_to_fine", "condensation"]),
-    default="coarse_to_fine",
-    show_default=True,
-    help="condensation: the paper's filter, step by step.",
+    type=click.Choice(["informed", "coarse_to_fine", "condensation"]),
+    help="informed (the default): the image says where to look. condensation: the paper's filter, "
+    "step by step.",
 )
 @click.option(
     "--likelihood",
     type=click.Choice(["squared", "robust", "zncc", "gradient"]),
-    default="squared",
-    show_default=True,
-    help="How images are compared; squared colour difference is the paper's.",
+    help="How images are compared. Default: robust (absolute differences up to a limit); with "
+    "condensation squared, as in the paper.",
 )
 @click.option(
     "--resampling",
@@ -89,33 +112,48 @@ def _parse_init(
 )
 @click.option(
     "--estimate",
-    type=click.Choice(["mode", "mean", "max_weight"]),
-    help="What stands for the run. Default: mode; with condensation max_weight, as in the paper.",
+    type=click.Choice(["refined", "mode", "mean", "max_weight"]),
+    help="What stands for the run. Default: refined (aligned with the image); with condensation "
+    "max_weight, as in the paper.",
 )
-@blending_option
+@click.option(
+    "--blending",
+    type=click.Choice(["unstructured", "delaunay"]),
+    help="How views are blended: unstructured (the default), by viewing angle; delaunay, by the "
+    "paper's net of triangles.",
+)
 @quality_option("medium")
-@click.option("--width", type=int, default=40, show_default=True, help="Pixels across compared.")
+@click.option("--width", type=int, help="Pixels across compared. Default: 40.")
+@click.option(
+    "--refine-width",
+    type=int,
+    help="Pixels across in the last step of the alignment; 0: no refined estimate. Default: 160.",
+)
 @click.option("--threads", type=int, help="Default: all processors.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Random seed.")
 @overwrite_option
 @json_option
 @common_options
 def command(
-    scene: Path,
-    dataset: Path,
-    output: Path,
+    scene: Path | None,
+    dataset: Path | None,
+    output: Path | None,
+    config: Path | None,
+    print_config: bool,
     odometry: Path | None,
     area: tuple[float, float, float, float] | None,
-    init: tuple[float, float, float] | None,
-    particles: int,
+    init: tuple[float, ...] | None,
+    degrees_of_freedom: str | None,
+    particles: int | None,
     start_particles: int | None,
-    strategy: str,
-    likelihood: str,
+    strategy: str | None,
+    likelihood: str | None,
     resampling: str | None,
     estimate: str | None,
-    blending: str,
+    blending: str | None,
     quality: str | None,
-    width: int,
+    width: int | None,
+    refine_width: int | None,
     threads: int | None,
     seed: int,
     overwrite: bool,
@@ -128,30 +166,38 @@ def command(
     Example:
       lfnav localize out/elevators.h5 sample_data/elevators/test -o out/run.h5 --seed 0
       lfnav localize scene.h5 drive/ -o run.h5 --init 1.0,-2.5,90
+      lfnav localize --print-config --particles 500 > settings.toml
+      lfnav localize scene.h5 drive/ -o run.h5 --config settings.toml
     """
     from pipelines.lightfield.blending import Blending
-    from pipelines.localize.likelihood import likelihood_named
-    from pipelines.localize.settings import LocalizerSettings
+    from pipelines.lightfield.comparison import Cost
+    from pipelines.localize.config import effective_settings, settings_text
     from pipelines.localize.stage import localize
 
-    is_paper = strategy == "condensation"
-    if start_particles is None:
-        start_particles = max(LocalizerSettings.start_particles, particles)
-    settings: LocalizerSettings = LocalizerSettings(
-        strategy=strategy,
-        particles=particles,
-        start_particles=start_particles,
-        start=init,
-        area=area,
-        likelihood=likelihood_named(likelihood),
-        resampling=resampling or ("multinomial" if is_paper else "systematic"),
-        estimate=estimate or ("max_weight" if is_paper else "mode"),
-        blending=Blending[blending.upper()],
-        quality=quality,
-        coarse_width=max(4, min(20, width)),
-        fine_width=width,
-        threads=threads,
-    )
+    options: dict[str, Any] = {
+        "strategy": strategy,
+        "degrees_of_freedom": None if degrees_of_freedom is None else int(degrees_of_freedom),
+        "particles": particles,
+        "start_particles": start_particles,
+        "area": area,
+        "likelihood.cost": None if likelihood is None else Cost[likelihood.upper()],
+        "resampling": resampling,
+        "estimate": estimate,
+        "blending": None if blending is None else Blending[blending.upper()],
+        "quality": quality,
+        "fine_width": width,
+        "refine_width": refine_width,
+        "threads": threads,
+    }
+    chosen = {name: value for name, value in options.items() if value is not None}
+    if init is not None:
+        chosen["start"] = init or None
+    settings = effective_settings(config, chosen)
+    if print_config:
+        click.echo(settings_text(settings), nl=False)
+        return
+    if scene is None or dataset is None or output is None:
+        raise _missing({"scene": scene, "dataset": dataset, "output": output})
     summary = localize(
         scene,
         dataset,

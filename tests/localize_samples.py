@@ -1,6 +1,7 @@
 """Small beliefs and runs that several tests of the filter build on."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from pipelines.geometry.camera import Camera
 from pipelines.geometry.pose import base_from_camera_mount
 from pipelines.localize.belief import Belief, gaussian_belief, normalise_log_weights
 from pipelines.localize.run import FrameRecord, Run
+from pipelines.localize.state_space import PLANAR, SPATIAL
 
 CAMERA = Camera("SIMPLE_PINHOLE", 64, 48, (60.0, 31.5, 23.5))
 
@@ -28,7 +30,9 @@ def frame_record(
     seconds: Mapping[str, float] | None = None,
 ) -> FrameRecord:
     """A frame whose particles lie around (1, 2, 0.5)."""
-    belief = gaussian_belief((1.0, 2.0, 0.5), 0.1, 0.05, particles, np.random.default_rng(seed))
+    belief = gaussian_belief(
+        PLANAR, (1.0, 2.0, 0.5), 0.1, 0.05, particles, np.random.default_rng(seed)
+    )
     return FrameRecord(
         timestamp=timestamp,
         image_name=f"rgb/{timestamp:.1f}.png",
@@ -82,3 +86,34 @@ def curved_path(count: int) -> FloatArray:
     return np.stack(
         [3.0 * time, 1.0 - 2.0 * time**2, np.arctan2(np.sin(heading), np.cos(heading))], axis=1
     )
+
+
+def spatial_path(count: int) -> FloatArray:
+    """``(count, 6)`` poses of a camera in the hand that turns about all axes."""
+    time = np.linspace(0.0, 1.0, count)
+    turns = np.stack([0.3 * np.sin(3.0 * time), 1.5 + 0.2 * time, 2.0 * time - 1.0], axis=1)
+    return np.concatenate([np.stack([time, 0.5 - time, 1.4 + 0.1 * time], axis=1), turns], axis=1)
+
+
+def spatial_run(count: int) -> Run:
+    """A run with six degrees of freedom whose estimates are ``spatial_path``; exact odometry."""
+    states = spatial_path(count)
+    planar = run_along(curved_path(count))
+    rng = np.random.default_rng(8)
+    frames = []
+    for frame, state in zip(planar.frames, states, strict=True):
+        belief = gaussian_belief(SPATIAL, state, 0.1, 0.05, 30, rng)
+        frames.append(
+            replace(
+                frame,
+                particles=belief.states,
+                log_weights=belief.log_weights,
+                estimates={"mode": state, "refined": state},
+                modes=np.array([[*state, 0.9], [*(state + 0.5), 0.1]]),
+                covariance=np.diag([0.01] * 3 + [0.0025] * 3),
+                refined_covariance=np.diag([1e-4] * 3 + [1e-5] * 3),
+            )
+        )
+    poses = SPATIAL.poses(states)
+    own = np.stack([SPATIAL.increment(poses[0], pose) for pose in poses])
+    return replace(planar, frames=tuple(frames), base_from_camera=np.eye(4), odometry=own)

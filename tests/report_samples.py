@@ -1,6 +1,6 @@
 """A painted wall, photos of it, and a run in front of it: small, and true by construction."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from pipelines.lightfield.bundle import identifier_of, save_scene
 from pipelines.lightfield.scene import PlaneEstimate, Scene
 from pipelines.localize.belief import normalise_log_weights
 from pipelines.localize.run import FrameRecord, Run, save_run
+from pipelines.localize.state_space import SPATIAL
 
 # 90 degrees wide: from a distance d to the wall y = 0 a view shows 2 d of it.
 CAMERA = Camera("SIMPLE_PINHOLE", 48, 36, (24.0, 23.5, 17.5))
@@ -27,8 +28,12 @@ def facing_wall(x: float, distance: float, turn: float = 0.0) -> FloatArray:
 
 
 def photo(state: FloatArray, camera: Intrinsics = CAMERA.intrinsics) -> ImageArray:
-    """What a camera at ``state`` sees of the painted wall, computed ray by ray."""
-    pose = world_from_base_planar(state) @ MOUNT
+    """What the robot's camera at ``state`` sees of the painted wall."""
+    return photo_from(world_from_base_planar(state) @ MOUNT, camera)
+
+
+def photo_from(pose: FloatArray, camera: Intrinsics = CAMERA.intrinsics) -> ImageArray:
+    """What a camera at ``world_from_camera`` sees of the painted wall, computed ray by ray."""
     rows, columns = np.mgrid[0 : camera.height, 0 : camera.width]
     rays = np.stack(
         [(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(rows.shape)],
@@ -82,13 +87,14 @@ def wall_run(
 
     Args:
         offset: metres.
-        statuses: a letter a frame: g(lobal), t(racking), l(ost); lost frames have no estimate.
+        statuses: a letter a frame: g(lobal), t(racking), b(lind), l(ost); lost frames have no
+            estimate.
         groundtruth: as in ``Run``.
         odometry: as in ``Run``.
         dataset_name: as in ``Run``.
         image_name: with a place for the frame's number.
     """
-    words = {"g": "global", "t": "tracking", "l": "lost"}
+    words = {"g": "global", "t": "tracking", "b": "blind", "l": "lost"}
     random = np.random.default_rng(5)
     frames = []
     for index, letter in enumerate(statuses):
@@ -124,6 +130,26 @@ def wall_run(
         groundtruth=groundtruth,
         provenance={"versions": {"lfnav": "0.1"}},
     )
+
+
+def spatial_wall_run() -> Run:
+    """``wall_run`` as that of a camera in the hand, where the robot's camera was."""
+    run = wall_run(odometry=None)
+
+    def spatial(states: FloatArray) -> FloatArray:
+        return SPATIAL.states(world_from_base_planar(states) @ MOUNT)
+
+    frames = tuple(
+        replace(
+            frame,
+            particles=spatial(frame.particles),
+            estimates={name: spatial(state) for name, state in frame.estimates.items()},
+            modes=np.column_stack([spatial(frame.modes[:, :3]), frame.modes[:, 3]]),
+            covariance=np.diag([0.01, 0.0025, 0.001, 0.0001, 0.0001, 0.0004]),
+        )
+        for frame in run.frames
+    )
+    return replace(run, frames=frames, base_from_camera=np.eye(4), groundtruth=spatial(TRUTH))
 
 
 @dataclass(frozen=True)

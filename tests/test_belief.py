@@ -10,11 +10,14 @@ from pipelines.artifacts.array_types import FloatArray
 from pipelines.artifacts.errors import OptionError, StageError
 from pipelines.localize.belief import (
     Belief,
+    Region,
     effective_sample_size,
     gaussian_belief,
     normalise_log_weights,
+    region_of_area,
     uniform_belief,
 )
+from pipelines.localize.state_space import PLANAR, SPATIAL
 from tests.localize_samples import weighted
 
 # Down to where exp underflows and far beyond it, with weights of zero among them.
@@ -76,7 +79,9 @@ def test_effective_sample_size_of_nothing_is_zero() -> None:
 
 
 def test_uniform_start_fills_area_and_circle_evenly() -> None:
-    belief = uniform_belief((-2.0, 6.0, 1.0, 3.0), 40000, np.random.default_rng(3))
+    belief = uniform_belief(
+        PLANAR, region_of_area((-2.0, 6.0, 1.0, 3.0)), 40000, np.random.default_rng(3)
+    )
     low, high = np.array([-2.0, 1.0, -np.pi]), np.array([6.0, 3.0, np.pi])
     assert np.all(belief.states >= low)
     assert np.all(belief.states <= high)
@@ -89,7 +94,7 @@ def test_uniform_start_fills_area_and_circle_evenly() -> None:
 
 
 def test_gaussian_start_has_the_moments_asked_for_across_the_jump_of_the_heading() -> None:
-    belief = gaussian_belief((1.0, -2.0, np.pi), 0.3, 0.1, 50000, np.random.default_rng(4))
+    belief = gaussian_belief(PLANAR, (1.0, -2.0, np.pi), 0.3, 0.1, 50000, np.random.default_rng(4))
     headings = belief.states[:, 2]
     assert np.all((headings > -np.pi) & (headings <= np.pi))
     assert np.min(headings) < -3.0 < 3.0 < np.max(headings)
@@ -100,13 +105,13 @@ def test_gaussian_start_has_the_moments_asked_for_across_the_jump_of_the_heading
 
 
 def test_gaussian_start_without_spread_is_the_state() -> None:
-    belief = gaussian_belief((1.0, 2.0, 0.5), 0.0, 0.0, 3, np.random.default_rng(0))
+    belief = gaussian_belief(PLANAR, (1.0, 2.0, 0.5), 0.0, 0.0, 3, np.random.default_rng(0))
     np.testing.assert_array_equal(belief.states, [[1.0, 2.0, 0.5]] * 3)
 
 
 def test_same_seed_same_start() -> None:
-    first = uniform_belief((0, 1, 0, 1), 5, np.random.default_rng(9))
-    second = uniform_belief((0, 1, 0, 1), 5, np.random.default_rng(9))
+    first = uniform_belief(PLANAR, region_of_area((0, 1, 0, 1)), 5, np.random.default_rng(9))
+    second = uniform_belief(PLANAR, region_of_area((0, 1, 0, 1)), 5, np.random.default_rng(9))
     assert first.states.tobytes() == second.states.tobytes()
 
 
@@ -115,22 +120,22 @@ def test_same_seed_same_start() -> None:
 )
 def test_impossible_areas_are_refused(bounds: tuple[float, ...]) -> None:
     with pytest.raises(OptionError, match="area"):
-        uniform_belief(bounds, 10, np.random.default_rng(0))
+        uniform_belief(PLANAR, region_of_area(bounds), 10, np.random.default_rng(0))
 
 
 @pytest.mark.parametrize("count", [0, -5])
 def test_zero_and_negative_particles_are_refused(count: int) -> None:
     rng = np.random.default_rng(0)
     with pytest.raises(OptionError, match="at least 1"):
-        uniform_belief((0, 1, 0, 1), count, rng)
+        uniform_belief(PLANAR, region_of_area((0, 1, 0, 1)), count, rng)
     with pytest.raises(OptionError, match="at least 1"):
-        gaussian_belief((0, 0, 0), 0.1, 0.1, count, rng)
+        gaussian_belief(PLANAR, (0, 0, 0), 0.1, 0.1, count, rng)
 
 
 @pytest.mark.parametrize(("position", "heading"), [(-0.1, 0.1), (0.1, -0.1), (np.nan, 0.1)])
 def test_negative_spreads_are_refused(position: float, heading: float) -> None:
     with pytest.raises(OptionError, match="sigma"):
-        gaussian_belief((0, 0, 0), position, heading, 5, np.random.default_rng(0))
+        gaussian_belief(PLANAR, (0, 0, 0), position, heading, 5, np.random.default_rng(0))
 
 
 def test_a_belief_is_checked_when_it_is_made() -> None:
@@ -145,3 +150,48 @@ def test_a_belief_is_checked_when_it_is_made() -> None:
         Belief(np.full((1, 3), np.nan), np.zeros(1))
     with pytest.raises(OptionError, match="M > 0"):
         Belief(np.zeros((0, 3)), np.zeros(0))
+
+
+# --- regions -----------------------------------------------------------------------------------
+
+
+def test_a_regions_density_is_one_over_its_volume() -> None:
+    floor = region_of_area((-1.0, 3.0, 0.0, 2.0))
+    assert floor.log_density(PLANAR) == pytest.approx(-np.log(8.0 * 2.0 * np.pi))
+    room = Region(np.array([0.0, 0.0, 1.0]), np.array([2.0, 3.0, 1.5]))
+    assert room.log_density(SPATIAL) == pytest.approx(-np.log(3.0 * 8.0 * np.pi**2))
+
+
+def test_a_region_contains_what_lies_between_its_corners_in_any_orientation() -> None:
+    floor = region_of_area((-1.0, 3.0, 0.0, 2.0))
+    states = np.array([[3.0, 0.0, 9.0], [3.01, 1.0, 0.0], [0.0, -0.01, 0.0], [0.0, 2.0, -1.0]])
+    np.testing.assert_array_equal(floor.contains(states), [True, False, False, True])
+    room = Region(np.array([0.0, 0.0, 1.0]), np.array([2.0, 3.0, 1.5]))
+    heights = np.array([[1.0, 1.0, z, 0.1, 0.2, 0.3] for z in (0.9, 1.0, 1.5, 1.6)])
+    np.testing.assert_array_equal(room.contains(heights), [False, True, True, False])
+
+
+@pytest.mark.parametrize(
+    ("low", "high"),
+    [((0.0, 0.0, 1.0), (1.0, 1.0, 1.0)), ((0.0, 2.0, 0.0), (1.0, 1.0, 1.0))],
+)
+def test_a_region_that_encloses_nothing_is_refused(
+    low: tuple[float, ...], high: tuple[float, ...]
+) -> None:
+    with pytest.raises(OptionError, match=r"area x 0 to 1, y .* is empty"):
+        Region(np.array(low), np.array(high))
+    with pytest.raises(OptionError, match="finite"):
+        Region(np.array(low), np.full(3, np.inf))
+
+
+def test_a_spatial_start_has_the_moments_asked_for() -> None:
+    centre = np.array([1.0, -2.0, 0.5, 0.4, -1.2, 2.0])
+    belief = gaussian_belief(SPATIAL, centre, 0.3, 0.1, 50000, np.random.default_rng(4))
+    deviation = SPATIAL.difference(belief.states, centre)
+    np.testing.assert_allclose(deviation.mean(axis=0), 0.0, atol=0.006)
+    np.testing.assert_allclose(deviation.std(axis=0), [0.3] * 3 + [0.1] * 3, rtol=0.02)
+
+
+def test_states_of_four_numbers_are_no_belief() -> None:
+    with pytest.raises(OptionError, match="4 numbers"):
+        Belief(np.zeros((2, 4)), np.full(2, -np.log(2.0)))

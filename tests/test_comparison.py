@@ -17,6 +17,7 @@ from pipelines.lightfield.comparison import (
     Cost,
     best_gain,
     compare,
+    trimmed_gain,
 )
 from pipelines.lightfield.renderer import Renderer
 from tests.lightfield_samples import WALL, looking, photo, photographed, pinhole
@@ -82,6 +83,11 @@ def test_each_cost_with_its_best_gain(cost: Cost) -> None:
         # Least squares: no other factor is better.
         least = ((gain * a - b) ** 2).sum()
         assert all(((factor * a - b) ** 2).sum() >= least for factor in (gain - 0.01, gain + 0.01))
+        if cost is Cost.ROBUST:
+            # Its gain is fitted to the colours that are nearly equal already.
+            near = np.abs(a - b) < ROBUST_LIMIT
+            assert 0.2 < near.mean() < 0.95
+            gain = float((a[near] * b[near]).sum() / (a[near] ** 2).sum())
         found = compare(int(cost), image, covered, query, True)
         expected = formula(cost, image.astype(float), covered, query.astype(float), gain)
         assert found == pytest.approx(expected, rel=1e-5)
@@ -213,3 +219,32 @@ def test_impossible_requests_are_refused() -> None:
     for threads in (0, -1):
         with pytest.raises(OptionError, match="threads"):
             Renderer(views, WALL, threads=threads)
+
+
+@every_cost
+@pytest.mark.parametrize("fit_gain", [False, True])
+def test_pixels_that_are_not_to_be_compared_do_not_count(cost: Cost, fit_gain: bool) -> None:
+    image, covered, query = random_pair(0)
+    # Whole columns at the border: what is left is an image of its own.
+    query[:, 12:] = np.nan
+    own, seen = np.ascontiguousarray(image[:, :12]), np.ascontiguousarray(covered[:, :12])
+    wanted = np.ascontiguousarray(query[:, :12])
+    expected = compare(int(cost), own, seen, wanted, fit_gain)
+    assert compare(int(cost), image, covered, query, fit_gain) == pytest.approx(expected, rel=1e-6)
+
+
+@every_cost
+def test_where_nothing_is_to_be_compared_the_cost_is_finite(cost: Cost) -> None:
+    image, covered, query = random_pair(1)
+    query[:] = np.nan
+    assert 0.0 <= compare(int(cost), image, covered, query, True) <= 1.0
+
+
+def test_what_stands_in_front_does_not_change_the_robust_costs_gain() -> None:
+    image, covered, _ = random_pair(2, 1.0)
+    query = (0.9 * image).astype(np.float32)
+    query[:, :6] = 250.0
+    gain = trimmed_gain(image, covered, query)
+    # Of the colours in front, a few happen to be nearly equal.
+    assert gain == pytest.approx(0.9, abs=0.06)
+    assert abs(gain - 0.9) < 0.3 * abs(best_gain(image, covered, query) - 0.9)

@@ -17,8 +17,9 @@ from pipelines.geometry.pose import world_from_base_planar, wrap_angle
 from pipelines.geometry.trajectory import Trajectory, format_tum
 from pipelines.localize.evaluation import evaluate_run, evaluate_run_file, odometry_states
 from pipelines.localize.run import Run, save_run
+from pipelines.localize.state_space import SPATIAL
 from pipelines.localize.trajectory_export import export_trajectory
-from tests.localize_samples import curved_path, run_along
+from tests.localize_samples import curved_path, run_along, spatial_path, spatial_run
 
 
 def noisy(states: FloatArray, seed: int, scale: float = 0.05) -> FloatArray:
@@ -216,3 +217,29 @@ def test_the_command_prints_a_table_and_reads_a_file_of_truth(tmp_path: Path) ->
     position = next(line for line in result.stdout.splitlines() if "position (m)" in line)
     assert position.split()[-5:] == ["0.050"] * 5
     assert evaluate_run_file(path, tmp_path / "truth.tum").frames == 7
+
+
+# --- six degrees of freedom --------------------------------------------------------------------
+
+
+def test_errors_of_a_spatial_run_agree_with_evo(tmp_path: Path) -> None:
+    run, poses = spatial_run(6), SPATIAL.poses(spatial_path(6))
+    rng = np.random.default_rng(9)
+    truth = SPATIAL.moved(spatial_path(6), rng.normal(0.0, 0.05, (6, 6)))
+    reference = Trajectory(run.timestamps, SPATIAL.poses(truth))
+    (tmp_path / "truth.tum").write_text(format_tum(reference))
+    (tmp_path / "run.tum").write_text(format_tum(Trajectory(run.timestamps, poses)))
+    evaluation = evaluate_run(run, reference)
+    for relation, statistics in (
+        (metrics.PoseRelation.translation_part, evaluation.errors.position_error_m),
+        (metrics.PoseRelation.rotation_angle_deg, evaluation.errors.heading_error_deg),
+    ):
+        ape = evo_ape(tmp_path / "truth.tum", tmp_path / "run.tum", relation)
+        np.testing.assert_allclose(statistics.per_frame, ape.error, atol=1e-5)
+        assert statistics.rmse > 0.01
+
+
+def test_odometry_of_a_spatial_run_starts_at_the_true_pose() -> None:
+    run = spatial_run(5)
+    placed = odometry_states(run, spatial_path(5))
+    np.testing.assert_allclose(placed, spatial_path(5), atol=1e-9)

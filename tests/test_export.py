@@ -17,8 +17,9 @@ from pipelines.artifacts.errors import InputError, OptionError, StageError
 from pipelines.geometry.pose import planar_state_of
 from pipelines.geometry.trajectory import read_tum
 from pipelines.localize.run import Run, save_run
+from pipelines.localize.state_space import SPATIAL
 from pipelines.localize.trajectory_export import FORMATS, export_run_file, export_trajectory
-from tests.localize_samples import curved_path, run_along
+from tests.localize_samples import curved_path, run_along, spatial_path, spatial_run
 
 TIMES: FloatArray = 1305031102.175304 + 0.5 * np.arange(6, dtype=np.float64)
 
@@ -149,3 +150,30 @@ def test_a_failed_export_leaves_nothing_behind(tmp_path: Path) -> None:
     with pytest.raises(StageError):
         export_run_file(tmp_path / "run.h5", tmp_path / "out.txt", "kitti", None, overwrite=False)
     assert [path.name for path in tmp_path.iterdir()] == ["run.h5"]
+
+
+# --- six degrees of freedom --------------------------------------------------------------------
+
+
+def test_a_spatial_run_is_exported_with_its_full_poses(tmp_path: Path) -> None:
+    run = spatial_run(4)
+    poses = SPATIAL.poses(spatial_path(4))
+    tum = file_interface.read_tum_trajectory_file(write(tmp_path, "run.tum", run, "tum"))
+    assert tum.check()[0]
+    np.testing.assert_allclose(np.stack(tum.poses_se3), poses, atol=1e-8)
+    kitti = file_interface.read_kitti_poses_file(write(tmp_path, "run.kitti", run, "kitti"))
+    np.testing.assert_allclose(np.stack(kitti.poses_se3), poses, atol=1e-9)
+    euroc = file_interface.read_euroc_csv_trajectory(write(tmp_path, "run.csv", run, "euroc"))
+    np.testing.assert_allclose(np.stack(euroc.poses_se3), poses, atol=1e-8)
+
+
+def test_tables_of_a_spatial_run_name_all_six_numbers() -> None:
+    run, names = spatial_run(4), ("x_m", "y_m", "z_m", "rx_deg", "ry_deg", "rz_deg")
+    rows = list(csv.DictReader(io.StringIO(export_trajectory(run, "csv"))))
+    found = np.array([[float(row[name]) for name in names] for row in rows])
+    found[:, 3:] = np.radians(found[:, 3:])
+    np.testing.assert_allclose(found, spatial_path(4), atol=1e-8)
+    frame = json.loads(export_trajectory(run, "json"))["frames"][1]
+    assert list(frame["state"]) == ["x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"]
+    assert list(frame["state"].values()) == pytest.approx(spatial_path(4)[1])
+    assert [mode["share"] for mode in frame["modes"]] == [0.9, 0.1]

@@ -8,20 +8,18 @@ from hypothesis.extra.numpy import arrays
 
 from pipelines.artifacts.array_types import FloatArray
 from pipelines.artifacts.errors import OptionError, StageError
-from pipelines.geometry.camera import Undistorter
 from pipelines.lightfield.comparison import Cost
 from pipelines.lightfield.renderer import Renderer
 from pipelines.localize.belief import effective_sample_size, normalise_log_weights
 from pipelines.localize.likelihood import (
     LIKELIHOODS,
+    Comparison,
     Likelihood,
-    Observation,
-    costs_of_states,
-    image_match,
     likelihood_named,
-    observe,
     tempered,
 )
+from pipelines.localize.observation import Observation, Observer
+from pipelines.localize.state_space import PLANAR
 from tests.report_samples import CAMERA, MOUNT, facing_wall, photo, wall_scene
 
 log_likelihood_vectors = arrays(
@@ -152,67 +150,80 @@ BACK_TO_THE_WALL = facing_wall(0.0, 1.7, np.pi)
 
 
 @pytest.fixture(scope="module")
-def renderer() -> Renderer:
-    return Renderer.of_scene(wall_scene(), threads=1)
+def comparison() -> Comparison:
+    renderer = Renderer.of_scene(wall_scene(), threads=1)
+    return Comparison(renderer, PLANAR, MOUNT, LIKELIHOODS["squared"])
 
 
 def observation_at(state: FloatArray) -> Observation:
-    return observe(photo(state), CAMERA, Undistorter(CAMERA), 24)
+    return Observer(CAMERA, [24])(photo(state)).by_width[24]
 
 
-def test_observing_averages_the_image_and_scales_its_camera() -> None:
-    image = photo(TRUTH)
-    observation = observe(image, CAMERA, Undistorter(CAMERA), 24)
-    means = image.reshape(18, 2, 24, 2, 3).astype(np.float64).mean(axis=(1, 3))
-    assert np.abs(observation.image - means).max() <= 0.5 + 1e-9
-    # Pixel centres at integers: the middle of the image stays the middle.
-    assert observation.intrinsics.cx == pytest.approx(11.5)
-    assert observation.intrinsics.cy == pytest.approx(8.5)
-    assert observation.intrinsics.fx == pytest.approx(12.0)
-
-
-def test_the_true_view_explains_the_image_and_others_do_not(renderer: Renderer) -> None:
+def test_the_true_view_explains_the_image_and_others_do_not(comparison: Comparison) -> None:
     observation = observation_at(TRUTH)
-    assert image_match(renderer, TRUTH, MOUNT, observation) > 0.98
-    assert image_match(renderer, WRONG, MOUNT, observation) < 0.5
-    assert image_match(renderer, BACK_TO_THE_WALL, MOUNT, observation) == 0.0
+    assert comparison.match(TRUTH[None], observation) > 0.98
+    assert comparison.match(WRONG[None], observation) < 0.5
+    assert comparison.match(BACK_TO_THE_WALL[None], observation) == 0.0
 
 
-def test_the_match_is_the_correlation_of_the_pixels(renderer: Renderer) -> None:
+def test_the_match_is_the_correlation_of_the_pixels(comparison: Comparison) -> None:
     near = TRUTH + np.array([0.5, 0.1, -0.05])
     observation = observation_at(TRUTH)
     from_base = np.eye(4)
     from_base[:2, :2] = [[np.cos(near[2]), -np.sin(near[2])], [np.sin(near[2]), np.cos(near[2])]]
     from_base[:2, 3] = near[:2]
-    rendering = renderer.render(from_base @ MOUNT, observation.intrinsics)
+    rendering = comparison.renderer.render(from_base @ MOUNT, observation.intrinsics)
     assert rendering.coverage == 1.0
     rendered, taken = rendering.image.reshape(-1), observation.image.reshape(-1)
     correlation = np.corrcoef(rendered.astype(float), taken.astype(float))[0, 1]
     # The rendered image is rounded to whole grey levels here and not in the comparison.
-    match = image_match(renderer, near, MOUNT, observation)
+    match = comparison.match(near[None], observation)
     assert match == pytest.approx(correlation, abs=2e-3)
     assert 0.3 < match < 0.95
 
 
-def test_opposite_brightness_matches_as_little_as_a_blank_image(renderer: Renderer) -> None:
+def test_opposite_brightness_matches_as_little_as_a_blank_image(comparison: Comparison) -> None:
     observation = observation_at(TRUTH)
-    negative = Observation(255 - observation.image, observation.intrinsics)
+    negative = Observation(255.0 - observation.image, observation.intrinsics)
     black = Observation(np.zeros_like(observation.image), observation.intrinsics)
-    assert image_match(renderer, TRUTH, MOUNT, negative) == 0.0
-    assert image_match(renderer, TRUTH, MOUNT, black) == 0.0
+    assert comparison.match(TRUTH[None], negative) == 0.0
+    assert comparison.match(TRUTH[None], black) == 0.0
 
 
-def test_a_darker_exposure_matches_as_well(renderer: Renderer) -> None:
+def test_a_darker_exposure_matches_as_well(comparison: Comparison) -> None:
     observation = observation_at(TRUTH)
-    darker = Observation((0.6 * observation.image).astype(np.uint8), observation.intrinsics)
-    assert image_match(renderer, TRUTH, MOUNT, darker) > 0.98
+    darker = Observation((0.6 * observation.image).astype(np.float32), observation.intrinsics)
+    assert comparison.match(TRUTH[None], darker) > 0.98
 
 
 @pytest.mark.parametrize("name", sorted(LIKELIHOODS))
-def test_every_likelihood_prefers_the_truth(name: str, renderer: Renderer) -> None:
+def test_every_likelihood_prefers_the_truth(name: str, comparison: Comparison) -> None:
     states = np.stack([WRONG, TRUTH, BACK_TO_THE_WALL, TRUTH + np.array([0.3, 0.0, 0.0])])
-    costs = costs_of_states(renderer, states, MOUNT, observation_at(TRUTH), LIKELIHOODS[name])
+    likelihood = LIKELIHOODS[name]
+    judge = Comparison(comparison.renderer, PLANAR, MOUNT, likelihood)
+    costs = -judge.log_likelihoods(states, observation_at(TRUTH)) / likelihood.sharpness
     assert np.all((costs >= 0.0) & (costs <= 1.0))
     assert int(np.argmin(costs)) == 1
     # Looking at nothing never wins, not even against a wrong view of something.
     assert costs[2] > costs[3]
+
+
+def test_the_match_of_several_states_is_that_of_the_best(comparison: Comparison) -> None:
+    observation = observation_at(TRUTH)
+    states = np.stack([WRONG, TRUTH, BACK_TO_THE_WALL])
+    assert comparison.match(states, observation) == comparison.match(TRUTH[None], observation)
+
+
+def test_pixels_that_do_not_show_the_scene_do_not_count(comparison: Comparison) -> None:
+    observation = observation_at(TRUTH)
+    hidden = observation.image.copy()
+    hidden[10:, 4:20] = 255.0
+    masked = hidden.copy()
+    masked[10:, 4:20] = np.nan
+    dirty, left_out = (Observation(image, observation.intrinsics) for image in (hidden, masked))
+    assert comparison.match(TRUTH[None], dirty) < 0.9
+    assert comparison.match(TRUTH[None], left_out) > 0.98
+    states = np.stack([TRUTH, WRONG])
+    right, wrong = comparison.log_likelihoods(states, left_out)
+    assert right > wrong
+    assert right == pytest.approx(comparison.log_likelihoods(states, observation)[0], abs=0.5)

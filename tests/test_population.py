@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from pipelines.artifacts.array_types import FloatArray
 from pipelines.geometry.pose import wrap_angle
-from pipelines.localize.belief import Belief, gaussian_belief, uniform_belief
+from pipelines.localize.belief import Belief, gaussian_belief, region_of_area, uniform_belief
 from pipelines.localize.population import (
     CELL_HEADING,
     CELL_POSITION,
@@ -20,6 +20,7 @@ from pipelines.localize.population import (
     next_count,
     roughened,
 )
+from pipelines.localize.state_space import PLANAR
 from tests.localize_samples import weighted
 
 
@@ -81,7 +82,9 @@ def test_cells_of_negligible_weight_do_not_count() -> None:
 def test_the_next_count_stays_in_its_bounds(
     count: int, smallest: int, factor: float, spread: float
 ) -> None:
-    belief = gaussian_belief((1.0, 2.0, 3.0), spread, spread, count, np.random.default_rng(0))
+    belief = gaussian_belief(
+        PLANAR, (1.0, 2.0, 3.0), spread, spread, count, np.random.default_rng(0)
+    )
     chosen = next_count(belief, smallest, factor)
     assert chosen >= smallest
     assert chosen <= max(count, smallest)
@@ -99,7 +102,9 @@ def test_a_narrow_belief_shrinks_no_faster_than_it_may() -> None:
 
 
 def test_a_belief_that_is_everywhere_keeps_its_particles() -> None:
-    belief = uniform_belief([-5.0, 5.0, -5.0, 5.0], 5000, np.random.default_rng(0))
+    belief = uniform_belief(
+        PLANAR, region_of_area([-5.0, 5.0, -5.0, 5.0]), 5000, np.random.default_rng(0)
+    )
     assert next_count(belief, 195, 0.6) == 5000
 
 
@@ -121,7 +126,7 @@ def test_roughening_has_the_moments_of_its_formula(heading: float, factor: float
     for seed in range(seeds):
         states = particles(count, heading, seed)
         states[:, 2] = wrap_angle(states[:, 2])
-        noise = roughened(states, factor, np.random.default_rng(seed)) - states
+        noise = roughened(PLANAR, states, factor, np.random.default_rng(seed)) - states
         noise[:, 2] = wrap_angle(noise[:, 2])
         noises.append(noise)
     noise = np.concatenate(noises)
@@ -134,7 +139,7 @@ def test_headings_on_both_sides_of_the_jump_are_close_together() -> None:
     # As plain numbers their spread would be pi, and half of the particles would turn round.
     states = np.zeros((200, 3))
     states[:, 2] = np.where(np.arange(200) % 2 == 0, np.pi - 0.01, -np.pi + 0.01)
-    moved = roughened(states, 1.0, np.random.default_rng(0))
+    moved = roughened(PLANAR, states, 1.0, np.random.default_rng(0))
     assert np.all((moved[:, 2] > -np.pi) & (moved[:, 2] <= np.pi))
     assert np.abs(wrap_angle(moved[:, 2] - np.pi)).max() < 0.05
     assert np.any(moved[:, 2] > 0.0)
@@ -144,26 +149,30 @@ def test_headings_on_both_sides_of_the_jump_are_close_together() -> None:
 def test_uniform_headings_are_spread_by_a_finite_angle() -> None:
     states = np.zeros((1000, 3))
     states[:, 2] = wrap_angle(2.0 * np.pi * np.arange(1000) / 1000)
-    noise = wrap_angle(roughened(states, 1.0, np.random.default_rng(0))[:, 2] - states[:, 2])
+    noise = wrap_angle(
+        roughened(PLANAR, states, 1.0, np.random.default_rng(0))[:, 2] - states[:, 2]
+    )
     assert noise.std() == pytest.approx(0.1 * np.pi / math.sqrt(3.0), rel=0.1)
 
 
 def test_no_factor_no_spread_and_nothing_in_place() -> None:
     states = particles(50, 0.0, 0)
     before = states.copy()
-    np.testing.assert_allclose(roughened(states, 0.0, np.random.default_rng(0)), states, atol=1e-12)
-    roughened(states, 1.0, np.random.default_rng(0))
+    np.testing.assert_allclose(
+        roughened(PLANAR, states, 0.0, np.random.default_rng(0)), states, atol=1e-12
+    )
+    roughened(PLANAR, states, 1.0, np.random.default_rng(0))
     np.testing.assert_array_equal(states, before)
 
 
 def test_a_single_particle_is_left_alone() -> None:
     state = np.array([[1.0, 2.0, 3.0]])
-    moved = roughened(state, 1.0, np.random.default_rng(0))
+    moved = roughened(PLANAR, state, 1.0, np.random.default_rng(0))
     np.testing.assert_allclose(moved, state, atol=1e-6)
 
 
 def test_the_draws_are_seeded() -> None:
     states = particles(20, 0.0, 0)
-    first = roughened(states, 1.0, np.random.default_rng(3))
-    assert first.tobytes() == roughened(states, 1.0, np.random.default_rng(3)).tobytes()
-    assert first.tobytes() != roughened(states, 1.0, np.random.default_rng(4)).tobytes()
+    first = roughened(PLANAR, states, 1.0, np.random.default_rng(3))
+    assert first.tobytes() == roughened(PLANAR, states, 1.0, np.random.default_rng(3)).tobytes()
+    assert first.tobytes() != roughened(PLANAR, states, 1.0, np.random.default_rng(4)).tobytes()

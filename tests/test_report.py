@@ -22,7 +22,7 @@ from pipelines.report.stage import ReportSettings, ReportSummary, chosen_frames,
 from pipelines.report.style import figure_style
 from pipelines.report.tracks import tracks_of
 from pipelines.report.verdict import frame_ranges, verdict_of
-from tests.report_samples import TRUTH, Files, wall_run, written
+from tests.report_samples import TRUTH, Files, spatial_wall_run, wall_run, written
 
 HOSTILE = '<script>alert("1")</script> & <img src=http://x.example/y> $\\frac{1}{$'
 
@@ -191,6 +191,9 @@ def test_run_without_any_estimate_odometry_or_truth(tmp_path: Path) -> None:
         (wall_run(groundtruth=None), "unknown", "Tracking at the last frame with confidence 0.90;"),
         (wall_run(statuses="gggggg"), "bad", "Not localized: at the last frame the filter was"),
         (wall_run(statuses="tttttl"), "bad", "Lost: "),
+        (wall_run(statuses="ttttbb"), "good", "By odometry alone: the last image shows nothing"),
+        (wall_run(offset=0.4, statuses="tttttb"), "bad", "By odometry alone: "),
+        (wall_run(statuses="tttttb", groundtruth=None), "unknown", "By odometry alone: "),
         (wall_run(groundtruth=np.full((6, 3), np.nan)), "unknown", "Tracking at the last frame"),
     ],
 )
@@ -314,3 +317,24 @@ def test_png_is_what_the_page_shows(plain: Path) -> None:
     assert first is not None
     with Image.open(io.BytesIO(base64.b64decode(first.group(1)))) as shown:
         assert shown.format == "PNG"
+
+
+def test_blind_frames_are_told_on_the_page(tmp_path: Path) -> None:
+    small_report(tmp_path, wall_run(statuses="gttbbt"))
+    text = page_text(tmp_path / "report")
+    assert "blind, by odometry alone" in text
+    assert "frames 3 to 4" in text
+
+
+def test_a_spatial_run_is_reported_as_seen_from_above(tmp_path: Path) -> None:
+    run = spatial_wall_run()
+    small_report(tmp_path, run)
+    assert "Localized: " in first_line(tmp_path / "report")
+    tracks = tracks_of(run, None)
+    above = wall_run()
+    planar = tracks_of(above, None)
+    # The camera looks along the robot's heading, and the mount is straight above the robot.
+    np.testing.assert_allclose(tracks.estimated, planar.estimated, atol=1e-9)
+    assert tracks.groundtruth is not None
+    np.testing.assert_allclose(tracks.groundtruth, TRUTH, atol=1e-9)
+    assert tracks.estimated_states.shape == (6, 6)

@@ -1,5 +1,6 @@
 """The run in memory and its file."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from pipelines.artifacts.errors import InputError, OptionError, StageError
+from pipelines.artifacts.safe_hdf5 import write_json
 from pipelines.localize.run import (
     Run,
     check_run_belongs_to,
@@ -17,7 +19,7 @@ from pipelines.localize.run import (
     relative_scene_path,
     save_run,
 )
-from tests.localize_samples import curved_path, frame_record, run_along
+from tests.localize_samples import curved_path, frame_record, run_along, spatial_run
 
 
 def sample_run() -> Run:
@@ -176,8 +178,6 @@ def test_missing_parts_are_named(tmp_path: Path, name: str) -> None:
 
 
 def test_header_of_another_structure_is_refused(tmp_path: Path) -> None:
-    from pipelines.artifacts.safe_hdf5 import write_json
-
     path = tmp_path / "run.h5"
     headers: list[Any] = [[], {"frames": 4}, {"frames": 4, "camera": 3}, {"frames": 10**400}, 5]
     for header in headers:
@@ -241,3 +241,71 @@ def test_a_run_that_contradicts_itself_cannot_be_made() -> None:
         replace(run.frames[0], confidence=float("nan"))
     with pytest.raises(StageError, match="add up"):
         replace(run.frames[0], log_weights=run.frames[0].log_weights + 1.0)
+
+
+# --- six degrees of freedom, and the files of older versions ----------------------------------
+
+
+def test_a_spatial_run_is_read_back_as_it_was_written(tmp_path: Path) -> None:
+    run = spatial_run(3)
+    save_run(tmp_path / "run.h5", run, overwrite=False)
+    loaded = load_run(tmp_path / "run.h5")
+    assert loaded.space.name == "spatial"
+    for read, written in zip(loaded.frames, run.frames, strict=True):
+        for name in ("particles", "log_weights", "modes", "covariance", "refined_covariance"):
+            np.testing.assert_array_equal(getattr(read, name), getattr(written, name))
+        assert set(read.estimates) == set(written.estimates)
+    np.testing.assert_array_equal(loaded.estimated_states(), run.estimated_states())
+    assert loaded.odometry is not None
+    assert run.odometry is not None
+    np.testing.assert_array_equal(loaded.odometry, run.odometry)
+
+
+def test_the_refined_estimate_stands_for_a_run_that_has_one() -> None:
+    run = spatial_run(2)
+    assert run.default_estimate == "refined"
+    assert replace(run, settings={"estimate": "mode"}).default_estimate == "mode"
+
+
+def test_frames_of_different_degrees_of_freedom_are_no_run() -> None:
+    spatial, planar = spatial_run(2), run_along(curved_path(2))
+    with pytest.raises(OptionError, match="degrees of freedom"):
+        replace(spatial, frames=(spatial.frames[0], planar.frames[1]), odometry=None)
+    with pytest.raises(OptionError, match="odometry has shape"):
+        replace(spatial, odometry=np.zeros((2, 3)))
+    with pytest.raises(OptionError, match="estimate mode has shape"):
+        replace(spatial.frames[0], estimates={"mode": np.zeros(3)})
+    with pytest.raises(OptionError, match="covariance of refined"):
+        replace(spatial.frames[0], refined_covariance=np.eye(3))
+
+
+def test_files_of_schema_one_are_still_read(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    run = sample_run()
+    save_run(path, run, overwrite=False)
+    with h5py.File(path, "r+") as file:
+        # As version 1 wrote it: no degrees of freedom, no covariance of an alignment.
+        file.attrs["schema_version"] = 1
+        for index in range(4):
+            name = f"frames/{index:04d}/frame"
+            header = json.loads(file[name][()].tobytes())
+            del header["degrees_of_freedom"]
+            assert "refined_covariance" not in file[f"frames/{index:04d}"]
+            del file[name]
+            write_json(file, name, header)
+    loaded = load_run(path)
+    assert loaded.space.name == "planar"
+    np.testing.assert_array_equal(loaded.estimated_states(), run.estimated_states())
+
+
+@pytest.mark.parametrize("dimension", [0, 2, 4, 10**9, -3, "many"])
+def test_impossible_degrees_of_freedom_are_refused(tmp_path: Path, dimension: object) -> None:
+    path = tmp_path / "run.h5"
+    save_run(path, sample_run(), overwrite=False)
+    with h5py.File(path, "r+") as file:
+        header = json.loads(file["frames/0001/frame"][()].tobytes())
+        header["degrees_of_freedom"] = dimension
+        del file["frames/0001/frame"]
+        write_json(file, "frames/0001/frame", header)
+    with pytest.raises(InputError, match=r"run\.h5"):
+        load_run(path)

@@ -9,7 +9,7 @@ import numpy as np
 from lfnav_cli.common import format_table
 from pipelines.localize.description import describe_run
 from pipelines.localize.run import Run, save_run
-from tests.localize_samples import curved_path, run_along
+from tests.localize_samples import curved_path, run_along, spatial_run
 
 
 def described(tmp_path: Path, run: Run) -> tuple[str, dict[str, object]]:
@@ -26,7 +26,7 @@ def test_a_run_is_described_by_its_last_estimate_and_settings(tmp_path: Path) ->
     assert "setting strategy" in table
     assert content["frames"] == 3
     assert content["particles"] == [30, 30, 30]
-    assert content["status"] == {"global": 0, "tracking": 3, "lost": 0}
+    assert content["status"] == {"global": 0, "tracking": 3, "blind": 0, "lost": 0}
 
 
 def test_a_run_that_ends_lost_gets_no_last_estimate(tmp_path: Path) -> None:
@@ -42,3 +42,19 @@ def test_a_run_that_was_lost_throughout_is_described_too(tmp_path: Path) -> None
     table, content = described(tmp_path, replace(run, frames=lost))
     assert "lost 2" in table
     assert content["estimates"] == []
+
+
+def test_a_spatial_run_is_described_with_its_rotation(tmp_path: Path) -> None:
+    table, content = described(tmp_path, spatial_run(2))
+    # The last of the path: (1, -0.5, 1.5) and (0.3 sin 3, 1.7, 1) in degrees.
+    expected = "refined: x 1.000 m, y -0.500 m, z 1.500 m, rotation vector 2.4, 97.4, 57.3 deg"
+    assert expected in table
+    assert content["status"] == {"global": 0, "tracking": 2, "blind": 0, "lost": 0}
+
+
+def test_a_run_that_ends_blind_says_so(tmp_path: Path) -> None:
+    run = run_along(curved_path(2))
+    blind = replace(run.frames[1], status="blind", estimates={"max_weight": np.zeros(3)})
+    table, _ = described(tmp_path, replace(run, frames=(run.frames[0], blind)))
+    assert "none (blind)" in table
+    assert "tracking 1, blind 1" in table

@@ -17,6 +17,9 @@ NAN, INF = math.nan, math.inf
 
 # Keyword -> impossible values, and what the error says about each of them.
 IMPOSSIBLE: dict[str, tuple[tuple[Any, ...], str]] = {
+    "map_position_sigma": ((-0.1, NAN, INF), "map position sigma"),
+    "map_heading_sigma": ((-0.1, 4.0, NAN, INF), "map heading sigma"),
+    "degrees_of_freedom": ((0, 2, 4, 7, NAN), "degrees of freedom"),
     "strategy": (("", "Condensation", "annealed"), "strategy"),
     "resampling": (("", "wheel"), "resampling"),
     "estimate": (("", "median"), "estimate"),
@@ -31,7 +34,11 @@ IMPOSSIBLE: dict[str, tuple[tuple[Any, ...], str]] = {
     "roughening": ((-1.0, 11.0, NAN, INF), "roughening"),
     "coarse_width": ((3, 0, -20, 5000), "coarse width"),
     "fine_width": ((3, 0, -40, 5000), "fine width"),
-    "start": (((NAN, 0.0, 0.0), (0.0, INF, 0.0), (0.0, 0.0, -INF)), "start"),
+    "refine_width": ((-1, 3, 39, 5000, NAN), "refine width"),
+    "start": (
+        ((NAN, 0.0, 0.0), (0.0, INF, 0.0), (0.0, 0.0, -INF), (0.0, 0.0), (0.0,) * 6),
+        "start",
+    ),
     "area": (
         (
             (NAN, 1.0, 0.0, 1.0),
@@ -73,12 +80,46 @@ def test_every_setting_with_a_range_is_in_the_table() -> None:
         ("shrink_factor", 1.0),
         ("roughening", 0.0),
         ("coarse_width", 4),
-        ("fine_width", 4096),
+        ("refine_width", 0),
+        ("refine_width", 4096),
+        ("degrees_of_freedom", 6),
         ("threads", 1),
     ],
 )
 def test_the_ends_of_the_ranges_are_possible(name: str, value: Any) -> None:
     assert getattr(LocalizerSettings(**{name: value}), name) == value
+
+
+def test_a_search_begins_with_as_many_hypotheses_as_its_strategy_needs() -> None:
+    for strategy in ("informed", "coarse_to_fine"):
+        chosen = LocalizerSettings(strategy=strategy)
+        assert chosen.search_particles > 10 * chosen.particles
+        assert LocalizerSettings(strategy=strategy, start_particles=777).search_particles == 777
+        # Never fewer than are kept.
+        many = LocalizerSettings(strategy=strategy, particles=50_000)
+        assert many.search_particles == 50_000
+
+
+def test_images_may_be_as_fine_as_the_finest_alignment() -> None:
+    assert LocalizerSettings(fine_width=4096, refine_width=4096).widths == (20, 4096)
+    assert LocalizerSettings(fine_width=4096, refine_width=0).fine_width == 4096
+    with pytest.raises(OptionError, match="refine width 160 is not between 200 and 4096"):
+        LocalizerSettings(fine_width=200)
+
+
+def test_the_alignment_climbs_in_steps_of_two_to_three() -> None:
+    chosen = LocalizerSettings(coarse_width=20, fine_width=40, refine_width=160)
+    assert chosen.widths == (20, 40, 80, 160)
+    assert LocalizerSettings(fine_width=40, refine_width=100).widths == (20, 40, 100)
+    assert LocalizerSettings(fine_width=40, refine_width=0).widths == (20, 40)
+
+
+def test_the_start_has_as_many_numbers_as_a_state() -> None:
+    spatial = LocalizerSettings(degrees_of_freedom=6, start=(0.0,) * 6)
+    assert spatial.state_space.name == "spatial"
+    assert LocalizerSettings().state_space.name == "planar"
+    with pytest.raises(OptionError, match="start of 3 numbers for 6 degrees of freedom"):
+        LocalizerSettings(degrees_of_freedom=6, start=(0.0, 0.0, 0.0))
 
 
 def test_a_search_does_not_start_with_fewer_particles_than_it_keeps() -> None:

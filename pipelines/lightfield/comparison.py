@@ -47,11 +47,31 @@ def best_gain(image: Float32Array, covered: BoolArray, query: Float32Array) -> f
     product, square = 0.0, 0.0
     for y in range(image.shape[0]):
         for x in range(image.shape[1]):
-            if covered[y, x]:
+            if covered[y, x] and not np.isnan(query[y, x, 0]):
                 for channel in range(3):
                     value = image[y, x, channel]
                     product += value * query[y, x, channel]
                     square += value * value
+    if square <= 0.0:
+        return 1.0
+    return float(min(max(product / square, 1.0 / LARGEST_GAIN), LARGEST_GAIN))
+
+
+@compiled_leaf
+def trimmed_gain(image: Float32Array, covered: BoolArray, query: Float32Array) -> float:
+    """Like ``best_gain``, from those colours alone that are nearly equal already.
+
+    What stands in front of the scene must not change the brightness of what is seen beside it.
+    """
+    product, square = 0.0, 0.0
+    for y in range(image.shape[0]):
+        for x in range(image.shape[1]):
+            if covered[y, x] and not np.isnan(query[y, x, 0]):
+                for channel in range(3):
+                    value = image[y, x, channel]
+                    if abs(value - query[y, x, channel]) < ROBUST_LIMIT:
+                        product += value * query[y, x, channel]
+                        square += value * value
     if square <= 0.0:
         return 1.0
     return float(min(max(product / square, 1.0 / LARGEST_GAIN), LARGEST_GAIN))
@@ -67,13 +87,17 @@ def compare(
         kind: a ``Cost``.
         image: (H, W, 3) rendered, 0 to 255.
         covered: (H, W).
-        query: (H, W, 3) camera image, 0 to 255.
+        query: (H, W, 3) camera image, 0 to 255; NaN where it is not to be compared.
         fit_gain: whether one brightness factor is fitted first.
 
     Returns:
         Cost in [0, 1]; smaller is better.
     """
-    gain = np.float32(best_gain(image, covered, query) if fit_gain else 1.0)
+    gain = np.float32(1.0)
+    if fit_gain and kind == 1:
+        gain = np.float32(trimmed_gain(image, covered, query))
+    elif fit_gain:
+        gain = np.float32(best_gain(image, covered, query))
     if kind == 0:
         return _squared(image, covered, query, gain)
     if kind == 1:
@@ -87,41 +111,50 @@ def compare(
 def _squared(
     image: Float32Array, covered: BoolArray, query: Float32Array, gain: np.float32
 ) -> float:
-    total = 0.0
+    total, count = 0.0, 0
     for y in range(image.shape[0]):
         for x in range(image.shape[1]):
+            if np.isnan(query[y, x, 0]):
+                continue
+            count += 1
             if covered[y, x]:
                 for channel in range(3):
                     difference = gain * image[y, x, channel] - query[y, x, channel]
                     total += difference * difference
             else:
                 total += 3.0 * 255.0 * 255.0 * UNCOVERED_SQUARED
-    return float(total / (3.0 * 255.0 * 255.0 * covered.size))
+    return float(total / (3.0 * 255.0 * 255.0 * max(count, 1)))
 
 
 @compiled_leaf
 def _robust(
     image: Float32Array, covered: BoolArray, query: Float32Array, gain: np.float32
 ) -> float:
-    total = 0.0
+    total, count = 0.0, 0
     limit = np.float32(ROBUST_LIMIT)
     for y in range(image.shape[0]):
         for x in range(image.shape[1]):
+            if np.isnan(query[y, x, 0]):
+                continue
+            count += 1
             if covered[y, x]:
                 for channel in range(3):
                     difference = abs(gain * image[y, x, channel] - query[y, x, channel])
                     total += min(difference, limit)
             else:
                 total += 3.0 * ROBUST_LIMIT * UNCOVERED_ROBUST
-    return float(total / (3.0 * ROBUST_LIMIT * covered.size))
+    return float(total / (3.0 * ROBUST_LIMIT * max(count, 1)))
 
 
 @compiled
 def _correlation(image: Float32Array, covered: BoolArray, query: Float32Array) -> float:
-    count = 0
+    count, compared = 0, 0
     sums = np.zeros(5)
     for y in range(image.shape[0]):
         for x in range(image.shape[1]):
+            if np.isnan(query[y, x, 0]):
+                continue
+            compared += 1
             if covered[y, x]:
                 count += 1
                 for channel in range(3):
@@ -131,7 +164,7 @@ def _correlation(image: Float32Array, covered: BoolArray, query: Float32Array) -
                     sums[2] += a * a
                     sums[3] += b * b
                     sums[4] += a * b
-    share = count / covered.size
+    share = count / max(compared, 1)
     if count == 0:
         return UNCOVERED_ZNCC
     n = 3.0 * count
@@ -156,6 +189,8 @@ def _gradient(
             for step in range(2):
                 other_y, other_x = y + step, x + 1 - step
                 if other_y >= image.shape[0] or other_x >= image.shape[1]:
+                    continue
+                if np.isnan(query[y, x, 0]) or np.isnan(query[other_y, other_x, 0]):
                     continue
                 count += 1
                 if not (covered[y, x] and covered[other_y, other_x]):

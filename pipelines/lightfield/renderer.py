@@ -42,6 +42,21 @@ class Rendering:
         return float(self.covered.mean())
 
 
+@dataclass(frozen=True)
+class RenderingWithSurface:
+    """A virtual view and how far away what it shows is.
+
+    Attributes:
+        image: ``(H, W, 3)`` RGB, 0 to 255, not rounded; zero where uncovered.
+        covered: ``(H, W)`` pixels that at least one view shows.
+        inverse_depth: ``(H, W)`` 1 / metres along the optical axis.
+    """
+
+    image: Float32Array
+    covered: BoolArray
+    inverse_depth: FloatArray
+
+
 class Renderer:
     """Renders virtual views of a light field and scores them against camera images.
 
@@ -104,14 +119,53 @@ class Renderer:
             intrinsics: of the virtual camera; they also set the size of the image.
         """
         poses = np.ascontiguousarray(world_from_camera[None], dtype=np.float64)
-        images, covered = self._render(poses, intrinsics)
+        images, covered, _ = self._render(poses, intrinsics)
         return Rendering(np.rint(images[0]).astype(np.uint8), covered[0])
+
+    def render_with_surface(
+        self, world_from_camera: FloatArray, intrinsics: Intrinsics
+    ) -> RenderingWithSurface:
+        """Renders one virtual view together with the surface that it was rendered over.
+
+        Args:
+            world_from_camera: ``(4, 4)``.
+            intrinsics: of the virtual camera.
+        """
+        poses = np.ascontiguousarray(world_from_camera[None], dtype=np.float64)
+        images, covered, surfaces = self._render(poses, intrinsics)
+        return RenderingWithSurface(images[0], covered[0], surfaces[0])
+
+    def render_many(
+        self, world_from_camera: FloatArray, intrinsics: Intrinsics
+    ) -> tuple[Float32Array, BoolArray]:
+        """Renders many virtual views.
+
+        Args:
+            world_from_camera: ``(M, 4, 4)``.
+            intrinsics: of the virtual camera.
+
+        Returns:
+            Images ``(M, H, W, 3)`` RGB, 0 to 255, zero where uncovered, and covered pixels
+            ``(M, H, W)``.
+        """
+        poses = np.ascontiguousarray(world_from_camera, dtype=np.float64)
+        shape = (len(poses), intrinsics.height, intrinsics.width)
+        images = np.empty((*shape, 3), dtype=np.float32)
+        covered = np.empty(shape, dtype=np.bool_)
+        together = _poses_together(intrinsics)
+
+        def draw(start: int) -> None:
+            part = slice(start, start + together)
+            images[part], covered[part], _ = self._render(poses[part], intrinsics)
+
+        list(self._pool.map(draw, range(0, len(poses), together)))
+        return images, covered
 
     def costs(
         self,
         world_from_camera: FloatArray,
         intrinsics: Intrinsics,
-        query: ImageArray,
+        query: ImageArray | Float32Array,
         cost: Cost,
         fit_gain: bool,
     ) -> FloatArray:
@@ -120,7 +174,7 @@ class Renderer:
         Args:
             world_from_camera: ``(M, 4, 4)``.
             intrinsics: of the camera image.
-            query: ``(H, W, 3)`` camera image, RGB, undistorted.
+            query: ``(H, W, 3)`` camera image, RGB, undistorted; NaN where it is not to be compared.
             cost: the kind of comparison.
             fit_gain: whether a brightness factor is fitted for each pose.
 
@@ -138,18 +192,24 @@ class Renderer:
         poses = np.ascontiguousarray(world_from_camera, dtype=np.float64)
         target = np.ascontiguousarray(query, dtype=np.float32)
         costs = np.empty(len(poses))
-        together = max(1, min(POSES_TOGETHER, PIXELS_TOGETHER // (query.shape[0] * query.shape[1])))
+        together = _poses_together(intrinsics)
 
         def score(start: int) -> None:
-            images, covered = self._render(poses[start : start + together], intrinsics)
+            images, covered, _ = self._render(poses[start : start + together], intrinsics)
             own = costs[start : start + together]
             compare_all(int(cost), images, covered, target, fit_gain, own)
 
         list(self._pool.map(score, range(0, len(poses), together)))
         return costs
 
-    def _render(self, poses: FloatArray, intrinsics: Intrinsics) -> tuple[Float32Array, BoolArray]:
-        """Images ``(B, H, W, 3)`` and their covered pixels ``(B, H, W)`` at poses ``(B, 4, 4)``."""
+    def _render(
+        self, poses: FloatArray, intrinsics: Intrinsics
+    ) -> tuple[Float32Array, BoolArray, FloatArray]:
+        """Views from poses ``(B, 4, 4)``.
+
+        Returns:
+            Images ``(B, H, W, 3)``, covered pixels ``(B, H, W)`` and inverse depths ``(B, H, W)``.
+        """
         arrays, vector = self.views.arrays, intrinsics.vector()
         shape = (len(poses), intrinsics.height, intrinsics.width)
         rays = np.empty((len(poses), 3, 3))
@@ -179,4 +239,8 @@ class Renderer:
         images = np.empty((*shape, 3), dtype=np.float32)
         covered = np.empty(shape, dtype=np.bool_)
         blend_cells(poses, vector, has_depth, surfaces, arrays, *built, images, covered)
-        return images, covered
+        return images, covered, surfaces
+
+
+def _poses_together(intrinsics: Intrinsics) -> int:
+    return max(1, min(POSES_TOGETHER, PIXELS_TOGETHER // (intrinsics.width * intrinsics.height)))

@@ -1,6 +1,6 @@
 """The belief: weighted particles that stand for p(x_t | H_t) of the paper's equation (1).
 
-A particle is a planar state (x, y, heading) with a weight. Weights are kept as logarithms, since
+A particle is a state (see ``state_space``) with a weight. Weights are kept as logarithms, since
 the likelihood of an image is a product over thousands of pixels: as plain numbers nearly all
 particles would underflow to zero, and the few that are left would look equally good. Only
 differences of log-weights carry meaning, so that a belief is normalised after each update.
@@ -9,14 +9,15 @@ A set in which every weight is zero says nothing about where the robot is; ``nor
 reports that instead of inventing weights, and the filter calls the robot lost.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.array_types import BoolArray, FloatArray
 from pipelines.artifacts.errors import OptionError, StageError
-from pipelines.geometry.pose import wrap_angle
+from pipelines.localize.state_space import StateSpace, state_space_of_dimension
 
 # A belief's weights add up to 1 within this; looser than rounding over a million particles.
 NORMALISATION_TOLERANCE = 1e-6
@@ -27,7 +28,7 @@ class Belief:
     """A normalised particle set.
 
     Attributes:
-        states: ``(M, 3)`` world coordinates: x and y in metres, heading in radians.
+        states: ``(M, D)`` in one of the state spaces.
         log_weights: ``(M,)`` natural logarithms of weights that add up to 1; -inf is a weight of 0.
 
     Raises:
@@ -39,8 +40,9 @@ class Belief:
     log_weights: FloatArray
 
     def __post_init__(self) -> None:
-        if self.states.ndim != 2 or self.states.shape[1] != 3 or len(self.states) == 0:
-            raise OptionError(f"particles have shape {self.states.shape} instead of (M, 3), M > 0")
+        if self.states.ndim != 2 or len(self.states) == 0:
+            raise OptionError(f"particles have shape {self.states.shape} instead of (M, D), M > 0")
+        state_space_of_dimension(self.states.shape[1])
         if self.log_weights.shape != (len(self.states),):
             raise OptionError(
                 f"{len(self.states)} particles with log-weights of shape {self.log_weights.shape}"
@@ -106,33 +108,74 @@ def effective_sample_size(log_weights: FloatArray) -> float:
     return float(np.sum(relative) ** 2 / np.sum(relative**2))
 
 
-def uniform_belief(bounds: ArrayLike, count: int, rng: np.random.Generator) -> Belief:
-    """Equally weighted particles, uniform over an area and all headings.
+@dataclass(frozen=True)
+class Region:
+    """Where a body may be: all positions between two corners, in any orientation.
+
+    Attributes:
+        low: ``(P,)`` smallest coordinates, metres.
+        high: ``(P,)`` largest.
+
+    Raises:
+        OptionError: corners that are not finite or enclose nothing.
+    """
+
+    low: FloatArray
+    high: FloatArray
+
+    def __post_init__(self) -> None:
+        if not (np.all(np.isfinite(self.low)) and np.all(np.isfinite(self.high))):
+            raise OptionError("an area takes finite numbers x_min,x_max,y_min,y_max")
+        if np.any(self.low >= self.high):
+            text = ", ".join(
+                f"{name} {low:g} to {high:g}"
+                for name, low, high in zip("xyz", self.low, self.high, strict=False)
+            )
+            raise OptionError(f"the area {text} is empty")
+
+    def log_density(self, space: StateSpace) -> float:
+        """Logarithm of the uniform distribution's density over the region."""
+        volume = float(np.prod(self.high - self.low)) * space.orientation_volume()
+        return -math.log(volume)
+
+    def contains(self, states: FloatArray) -> BoolArray:
+        """Which states ``(M, D)`` lie inside, ``(M,)``."""
+        positions = states[:, : len(self.low)]
+        return np.asarray(np.all((positions >= self.low) & (positions <= self.high), axis=1))
+
+
+def region_of_area(area: ArrayLike) -> Region:
+    """The region of an area ``(4,)`` x_min, x_max, y_min, y_max on the floor.
+
+    Raises:
+        OptionError: not four numbers, or see ``Region``.
+    """
+    values = np.asarray(area, dtype=np.float64)
+    if values.shape != (4,):
+        raise OptionError("an area takes four finite numbers x_min,x_max,y_min,y_max")
+    return Region(values[[0, 2]], values[[1, 3]])
+
+
+def uniform_belief(
+    space: StateSpace, region: Region, count: int, rng: np.random.Generator
+) -> Belief:
+    """Equally weighted particles, uniform over a region and all orientations.
 
     Args:
-        bounds: ``(4,)`` x_min, x_max, y_min, y_max in metres.
+        space: what a state is.
+        region: where.
         count: number of particles.
         rng: source of the draws.
 
     Raises:
-        OptionError: bounds that are not finite or enclose nothing, or fewer than one particle.
+        OptionError: fewer than one particle.
     """
-    area = np.asarray(bounds, dtype=np.float64)
-    if area.shape != (4,) or not np.all(np.isfinite(area)):
-        raise OptionError("an area takes four finite numbers x_min,x_max,y_min,y_max")
-    if area[0] >= area[1] or area[2] >= area[3]:
-        raise OptionError(
-            f"the area x {area[0]:g} to {area[1]:g}, y {area[2]:g} to {area[3]:g} is empty"
-        )
     _check_count(count)
-    low = np.array([area[0], area[2], -np.pi])
-    high = np.array([area[1], area[3], np.pi])
-    states = low + (high - low) * rng.random((count, 3))
-    states[:, 2] = wrap_angle(states[:, 2])
-    return Belief(states, _equal_log_weights(count))
+    return Belief(space.uniform(region.low, region.high, count, rng), equal_log_weights(count))
 
 
 def gaussian_belief(
+    space: StateSpace,
     state: ArrayLike,
     position_sigma: float,
     heading_sigma: float,
@@ -142,9 +185,10 @@ def gaussian_belief(
     """Equally weighted particles around a state.
 
     Args:
-        state: ``(3,)`` x, y in metres, heading in radians.
-        position_sigma: standard deviation of x and of y, metres.
-        heading_sigma: standard deviation of the heading, radians.
+        space: what a state is.
+        state: ``(D,)``.
+        position_sigma: standard deviation along each axis, metres.
+        heading_sigma: standard deviation of each angle, radians.
         count: number of particles.
         rng: source of the draws.
 
@@ -152,16 +196,15 @@ def gaussian_belief(
         OptionError: values that are not finite, negative deviations, or fewer than one particle.
     """
     centre = np.asarray(state, dtype=np.float64)
-    if centre.shape != (3,) or not np.all(np.isfinite(centre)):
-        raise OptionError("a start pose takes three finite numbers x, y, heading")
+    if centre.shape != (space.dimension,) or not np.all(np.isfinite(centre)):
+        raise OptionError(f"a start pose takes {space.dimension} finite numbers")
     for name, sigma in (("position_sigma", position_sigma), ("heading_sigma", heading_sigma)):
         if not (np.isfinite(sigma) and sigma >= 0.0):
             raise OptionError(f"{name} = {sigma:g} is not a standard deviation (0 or more)")
     _check_count(count)
-    spread = np.array([position_sigma, position_sigma, heading_sigma])
-    states = centre + spread * rng.standard_normal((count, 3))
-    states[:, 2] = wrap_angle(states[:, 2])
-    return Belief(states, _equal_log_weights(count))
+    spread = np.array([position_sigma] * space.positions + [heading_sigma] * space.angles)
+    offsets = spread * rng.standard_normal((count, space.dimension))
+    return Belief(space.moved(centre, offsets), equal_log_weights(count))
 
 
 def _check_count(count: int) -> None:
@@ -169,5 +212,6 @@ def _check_count(count: int) -> None:
         raise OptionError(f"{count} particles; at least 1 is needed")
 
 
-def _equal_log_weights(count: int) -> FloatArray:
+def equal_log_weights(count: int) -> FloatArray:
+    """``(count,)`` log-weights of particles that all weigh the same."""
     return np.full(count, -np.log(count))

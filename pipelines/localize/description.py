@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from pipelines.artifacts.array_types import FloatArray
 from pipelines.localize.run import STATUSES, Run, load_run
+from pipelines.localize.state_space import StateSpace
 
 
 @dataclass(frozen=True)
@@ -85,9 +87,15 @@ class RunSummary:
         name = self.run.default_estimate
         state = self.run.frames[-1].estimates.get(name)
         if state is None:
-            return "none (lost)"
-        x, y, heading = state
-        return f"{name}: x {x:.3f} m, y {y:.3f} m, heading {np.degrees(heading):.1f} deg"
+            return f"none ({self.run.frames[-1].status})"
+        return f"{name}: {_state_text(self.run.space, state)}"
+
+
+def _state_text(space: StateSpace, state: FloatArray) -> str:
+    lengths = [f"{axis} {value:.3f} m" for axis, value in zip("xyz", state, strict=False)]
+    angles = ", ".join(f"{value:.1f}" for value in np.degrees(state[space.positions :]))
+    name = "heading" if space.angles == 1 else "rotation vector"
+    return f"{', '.join(lengths[: space.positions])}, {name} {angles} deg"
 
 
 def describe_run(path: Path) -> RunSummary:

@@ -1,7 +1,7 @@
 """What the run of a docking has beside its frames: the goal, the commands, how it ended.
 
-In the file it is the group ``docking``: ``header`` (JSON: robot, drive, outcome, reason, the name of
-the state at each frame), ``goal``, ``staging``, ``commands`` and ``measured``.
+In the file it is the group ``docking``: ``header`` (JSON: robot, drive, outcome, reason, the name
+of the state at each frame), ``goal``, ``staging``, ``commands`` and ``measured``.
 """
 
 from dataclasses import dataclass

@@ -12,15 +12,17 @@ close to a ring, so that neither the size of the area nor the jump at +-pi matte
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from pipelines.artifacts.array_types import FloatArray, IntArray
 from pipelines.artifacts.errors import OptionError
-from pipelines.geometry.pose import wrap_angle
 from pipelines.localize.belief import Belief
+from pipelines.localize.state_space import StateSpace, state_space_of_dimension
 
 MERGE_RATIO = 0.5
-# A mean direction is meaningless where the directions cancel to less than this share.
-CANCELLED = 1e-9
 # Along x and along y; beyond it the cells' numbers would no longer fit 64 bits.
 MAX_GRID_CELLS = 1e7
 # Spread of the main cluster, at which confidence has fallen by a factor of exp(-1/2).
@@ -35,9 +37,9 @@ class Mode:
     """One peak of the belief.
 
     Attributes:
-        state: ``(3,)`` weighted mean of its particles: x, y (metres), heading (radians).
+        state: ``(D,)`` weighted mean of its particles.
         share: its particles' part of the whole weight, in (0, 1].
-        covariance: ``(3, 3)`` of its particles about ``state``: m^2, m rad, rad^2.
+        covariance: ``(D, D)`` of its particles about ``state``: m^2, m rad, rad^2.
         members: ``(m,)`` indices of its particles.
     """
 
@@ -48,28 +50,31 @@ class Mode:
 
 
 def max_weight_state(belief: Belief) -> FloatArray:
-    """The state ``(3,)`` of the heaviest particle, the paper's estimate; of equals the first."""
+    """The state ``(D,)`` of the heaviest particle, the paper's estimate; of equals the first."""
     return np.array(belief.states[int(np.argmax(belief.log_weights))])
 
 
 def mean_state(belief: Belief) -> FloatArray:
-    """The weighted mean ``(3,)`` of all particles, the heading's taken on the circle.
-
-    Where the headings cancel there is no mean direction; then the heaviest particle's stands.
-    """
-    return _weighted_mean(belief.states, belief.weights)
+    """The weighted mean ``(D,)`` of all particles, orientations by the shortest way round."""
+    return _space_of(belief).mean(belief.states, belief.weights)
 
 
-def state_covariance(states: FloatArray, weights: FloatArray, centre: FloatArray) -> FloatArray:
-    """Weighted covariance ``(3, 3)`` of states about a centre, headings by the shortest way round.
+def _space_of(belief: Belief) -> StateSpace:
+    return state_space_of_dimension(belief.states.shape[1])
+
+
+def state_covariance(
+    space: StateSpace, states: FloatArray, weights: FloatArray, centre: FloatArray
+) -> FloatArray:
+    """Weighted covariance ``(D, D)`` of states about a centre, angles by the shortest way round.
 
     Args:
-        states: ``(M, 3)`` x, y (metres), heading (radians).
+        space: what a state is.
+        states: ``(M, D)``.
         weights: ``(M,)``, not all zero; need not add up to 1.
-        centre: ``(3,)``.
+        centre: ``(D,)``.
     """
-    deviation = states - centre
-    deviation[:, 2] = wrap_angle(deviation[:, 2])
+    deviation = space.difference(states, centre)
     covariance = (deviation * weights[:, None]).T @ deviation / np.sum(weights)
     # Exactly symmetric, whatever the order in which the product was summed.
     return np.asarray(0.5 * (covariance + covariance.T), dtype=np.float64)
@@ -99,7 +104,11 @@ def find_modes(
     # Particles without weight take part in no peak.
     candidates = np.flatnonzero(weights > 0.0)
     states, candidate_weights = belief.states[candidates], weights[candidates]
-    labels = _peak_labels(states, candidate_weights, position_bandwidth, heading_bandwidth)
+    space = _space_of(belief)
+    if space.angles == 1:
+        labels = _peak_labels(states, candidate_weights, position_bandwidth, heading_bandwidth)
+    else:
+        labels = _connected_labels(space, states, position_bandwidth, heading_bandwidth)
     shares = np.bincount(labels, weights=candidate_weights)
     heaviest_first = np.argsort(-shares, kind="stable")
     modes: list[Mode] = []
@@ -109,15 +118,15 @@ def find_modes(
             break
         chosen = np.flatnonzero(labels == label)
         mode_states, mode_weights = states[chosen], candidate_weights[chosen]
-        centre = _weighted_mean(mode_states, mode_weights)
-        covariance = state_covariance(mode_states, mode_weights, centre)
+        centre = space.mean(mode_states, mode_weights)
+        covariance = state_covariance(space, mode_states, mode_weights, centre)
         modes.append(Mode(centre, share, covariance, candidates[chosen].astype(np.int64)))
     return tuple(modes)
 
 
 def modes_table(modes: tuple[Mode, ...]) -> FloatArray:
-    """``(K, 4)``: x, y, heading and share of each mode, in the order given."""
-    return np.array([[*mode.state, mode.share] for mode in modes]).reshape(-1, 4)
+    """``(K, D + 1)``: state and share of each mode, at least one, in the order given."""
+    return np.array([[*mode.state, mode.share] for mode in modes])
 
 
 def confidence(
@@ -130,7 +139,7 @@ def confidence(
 
     Args:
         effective_sample_size: of the whole belief.
-        covariance: ``(3, 3)`` of the main mode, metres and radians.
+        covariance: ``(D, D)`` of the main mode, metres and radians.
         main_share: the main mode's share of the weight, in [0, 1].
         image_match: how well the best view explains the image, in [0, 1].
 
@@ -144,8 +153,10 @@ def confidence(
         raise OptionError(f"effective sample size {effective_sample_size:g} is not 0 or more")
     if not np.all(np.isfinite(covariance)):
         raise OptionError("the covariance is not finite")
-    position_variance = max(0.0, float(covariance[0, 0] + covariance[1, 1]))
-    heading_variance = max(0.0, float(covariance[2, 2]))
+    positions = state_space_of_dimension(len(covariance)).positions
+    variances = np.diag(covariance)
+    position_variance = max(0.0, float(variances[:positions].sum()))
+    heading_variance = max(0.0, float(variances[positions:].sum()))
     spread = np.exp(
         -0.5 * position_variance / POSITION_SPREAD_SCALE**2
         - 0.5 * heading_variance / HEADING_SPREAD_SCALE**2
@@ -154,15 +165,21 @@ def confidence(
     return float(spread * samples * main_share * image_match)
 
 
-def _weighted_mean(states: FloatArray, weights: FloatArray) -> FloatArray:
-    total = float(np.sum(weights))
-    x, y = weights @ states[:, :2] / total
-    sine, cosine = weights @ np.sin(states[:, 2]) / total, weights @ np.cos(states[:, 2]) / total
-    if np.hypot(sine, cosine) < CANCELLED:
-        heading = states[int(np.argmax(weights)), 2]
-    else:
-        heading = np.arctan2(sine, cosine)
-    return np.array([x, y, float(wrap_angle(heading))])
+def _connected_labels(
+    space: StateSpace, states: FloatArray, position_bandwidth: float, heading_bandwidth: float
+) -> IntArray:
+    """Which cluster each particle belongs to, ``(M,)``: chains of particles near each other.
+
+    In six dimensions a grid of cells is nearly empty, and a peak of density means little; the
+    particles there are few and lie in clumps.
+    """
+    places = cKDTree(states[:, : space.positions])
+    pairs = places.query_pairs(position_bandwidth, output_type="ndarray")
+    rotations = Rotation.from_rotvec(states[:, space.positions :])
+    turn = (rotations[pairs[:, 0]].inv() * rotations[pairs[:, 1]]).magnitude()
+    pairs = pairs[turn <= heading_bandwidth]
+    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (len(states),) * 2)
+    return np.asarray(connected_components(links, directed=False)[1], dtype=np.int64)
 
 
 def _peak_labels(

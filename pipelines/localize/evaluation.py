@@ -1,8 +1,8 @@
 """How far a run's estimates, and odometry alone, are from the truth.
 
-Errors are planar: the distance of the positions in metres, and the smaller angle between the
-headings in degrees. A run succeeds where both, averaged over its last frames, are small enough to
-dock from.
+Errors are the distance of the positions in metres, and the angle between the orientations in
+degrees (for a robot on the floor, between the headings). A run succeeds where both, averaged over
+its last frames, are small enough to dock from.
 No alignment is done: the scene model's world and the ground truth's are the same. Odometry knows no
 world, so its first pose is put where the truth's is.
 """
@@ -16,14 +16,15 @@ import numpy as np
 from pipelines.artifacts.array_types import BoolArray, FloatArray
 from pipelines.artifacts.errors import InputError, OptionError
 from pipelines.dataset.dataset import PAIRING_TOLERANCE
-from pipelines.geometry.pose import (
-    planar_state_of,
-    world_from_base_planar,
-    wrap_angle,
-)
 from pipelines.geometry.trajectory import Trajectory, read_tum
-from pipelines.localize.motion import compose, planar_increment
+from pipelines.localize.consistency import (
+    Consistency,
+    consistency_of,
+    frames_to_recover,
+    frames_until_converged,
+)
 from pipelines.localize.run import Run, load_run
+from pipelines.localize.state_space import StateSpace
 
 LAST_FRAMES = 5
 SUCCESS_POSITION_M = 0.15
@@ -123,6 +124,10 @@ class RunEvaluation:
         frames: how many frames have a truth.
         frames_without_groundtruth: how many have none, and count for nothing.
         frames_without_estimate: how many have a truth, but the filter gave no estimate.
+        frames_until_converged: how many frames came before the estimate was, and stayed, good
+            enough for success; None where it never was.
+        frames_to_recover: length of every stretch of worse frames between good ones.
+        consistency: errors after convergence against the covariances that were stated, or None.
         particles: their number in the last frame.
         seconds_per_frame: mean wall time, all stages together.
     """
@@ -133,6 +138,9 @@ class RunEvaluation:
     frames: int
     frames_without_groundtruth: int
     frames_without_estimate: int
+    frames_until_converged: int | None
+    frames_to_recover: tuple[int, ...]
+    consistency: Consistency | None
     particles: int
     seconds_per_frame: float
 
@@ -156,6 +164,13 @@ class RunEvaluation:
         rows.append(("frames", frames))
         if self.frames_without_estimate:
             rows.append(("frames without an estimate", str(self.frames_without_estimate)))
+        converged = self.frames_until_converged
+        rows.append(("frames until converged", "never" if converged is None else str(converged)))
+        if self.frames_to_recover:
+            lengths = ", ".join(map(str, self.frames_to_recover))
+            rows.append(("frames to recover, each time", lengths))
+        if self.consistency is not None:
+            rows += self.consistency.rows()
         rows.append(("particles in the last frame", str(self.particles)))
         rows.append(("seconds a frame", f"{self.seconds_per_frame:.3f}"))
         return rows
@@ -169,6 +184,9 @@ class RunEvaluation:
             "frames": self.frames,
             "frames_without_groundtruth": self.frames_without_groundtruth,
             "frames_without_estimate": self.frames_without_estimate,
+            "frames_until_converged": self.frames_until_converged,
+            "frames_to_recover": list(self.frames_to_recover),
+            "consistency": None if self.consistency is None else self.consistency.to_dict(),
             "particles": self.particles,
             "seconds_per_frame": self.seconds_per_frame,
         }
@@ -220,14 +238,23 @@ def evaluate_run(
         raise InputError(run_path, f"no frame with ground truth has an estimate {name!r}")
     odometry = None
     if run.odometry is not None:
-        odometry = _evaluate_track(odometry_states(run, truth), truth)
+        odometry = _evaluate_track(run.space, odometry_states(run, truth), truth)
+    errors = _evaluate_track(run.space, estimated, truth)
+    good = is_good(errors.position_error_m.per_frame, errors.heading_error_deg.per_frame)
+    converged = frames_until_converged(good[has_truth])
+    followed = np.zeros(len(truth), dtype=np.bool_)
+    if converged is not None:
+        followed[np.flatnonzero(has_truth)[converged:]] = True
     return RunEvaluation(
         estimate=name,
-        errors=_evaluate_track(estimated, truth),
+        errors=errors,
         odometry=odometry,
         frames=int(np.count_nonzero(has_truth)),
         frames_without_groundtruth=int(np.count_nonzero(~has_truth)),
         frames_without_estimate=int(np.count_nonzero(has_truth & ~has_estimate)),
+        frames_until_converged=converged,
+        frames_to_recover=tuple(frames_to_recover(good[has_truth])),
+        consistency=consistency_of(run, name, truth, followed),
         particles=len(run.frames[-1].particles),
         seconds_per_frame=float(np.mean([sum(frame.seconds.values()) for frame in run.frames])),
     )
@@ -255,9 +282,9 @@ def odometry_states(run: Run, groundtruth: FloatArray | None = None) -> FloatArr
     if anchors is None or not np.any(_known(anchors)):
         anchors = run.estimated_states()
     first = int(np.flatnonzero(_known(anchors))[0])
-    poses = world_from_base_planar(run.odometry)
-    motions = np.stack([planar_increment(poses[first], pose) for pose in poses])
-    return compose(anchors[first], motions)
+    poses = run.space.poses(run.odometry)
+    motions = np.stack([run.space.increment(poses[first], pose) for pose in poses])
+    return run.space.composed(anchors[first], motions)
 
 
 def _true_states(
@@ -283,15 +310,37 @@ def _true_states(
             f"the frames are from {times[0]:.3f} to {times[-1]:.3f} s, the poses from "
             f"{groundtruth.timestamps[0]:.3f} to {groundtruth.timestamps[-1]:.3f} s",
         )
-    states = np.full((len(run.frames), 3), np.nan)
-    states[paired] = planar_state_of(groundtruth.poses[nearest[paired]])
+    states = np.full((len(run.frames), run.space.dimension), np.nan)
+    states[paired] = run.space.states(groundtruth.poses[nearest[paired]])
     return states
 
 
-def _evaluate_track(states: FloatArray, truth: FloatArray) -> TrackEvaluation:
-    difference = states - truth
-    position = ErrorStatistics(np.hypot(difference[:, 0], difference[:, 1]))
-    heading = ErrorStatistics(np.abs(np.degrees(wrap_angle(difference[:, 2]))))
+def is_good(position_errors: FloatArray, heading_errors: FloatArray) -> BoolArray:
+    """Which frames are good enough for success: errors ``(N,)`` in metres and degrees, NaN not."""
+    small = (position_errors < SUCCESS_POSITION_M) & (heading_errors < SUCCESS_HEADING_DEG)
+    return np.asarray(small, dtype=np.bool_)
+
+
+def state_errors(
+    space: StateSpace, states: FloatArray, truth: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Distances ``(N,)`` in metres and angles ``(N,)`` in radians between states and the truth.
+
+    NaN where either is unknown.
+    """
+    distances, angles = np.full((2, len(states)), np.nan)
+    known = _known(states) & _known(truth)
+    if np.any(known):
+        offsets = space.difference(states[known], truth[known])
+        distances[known] = np.linalg.norm(offsets[:, : space.positions], axis=1)
+        angles[known] = np.linalg.norm(offsets[:, space.positions :], axis=1)
+    return distances, angles
+
+
+def _evaluate_track(space: StateSpace, states: FloatArray, truth: FloatArray) -> TrackEvaluation:
+    position_errors, angle_errors = state_errors(space, states, truth)
+    position = ErrorStatistics(position_errors)
+    heading = ErrorStatistics(np.degrees(angle_errors))
     # Frames in which nothing was estimated must not make room for better ones before them.
     last = states[_known(truth)][-LAST_FRAMES:]
     success = (

@@ -4,20 +4,20 @@ The view that the light field renders at the state is compared with the image; t
 comparison (``pipelines.lightfield.comparison``) becomes a log-likelihood, ``-sharpness * cost``.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray, ImageArray
+from pipelines.artifacts.array_types import FloatArray
 from pipelines.artifacts.errors import OptionError, StageError
-from pipelines.geometry.camera import Camera, Intrinsics, Undistorter
-from pipelines.geometry.pose import world_from_base_planar
 from pipelines.lightfield.comparison import Cost
 from pipelines.lightfield.renderer import Renderer
-from pipelines.lightfield.views import pinhole_query
 from pipelines.localize.belief import effective_sample_size, normalise_log_weights
+from pipelines.localize.observation import Observation, Observations
+from pipelines.localize.refinement import Refined, refine
+from pipelines.localize.state_space import StateSpace
 
 
 @dataclass(frozen=True)
@@ -44,11 +44,20 @@ class Likelihood:
         if not (np.isfinite(self.sharpness) and self.sharpness > 0.0):
             raise OptionError(f"a likelihood's sharpness {self.sharpness:g} must be positive")
 
+    @property
+    def proposal_sharpness(self) -> float:
+        """The sharpness of a squared difference whose peaks are about as wide."""
+        return self.sharpness if self.cost is Cost.SQUARED else SQUARED_SHARPNESS
+
+
+# The squared difference's sharpness, by which other costs' peaks are taken to be as wide.
+SQUARED_SHARPNESS = 800.0
+
 
 LIKELIHOODS: Mapping[str, Likelihood] = MappingProxyType(
     {
-        "squared": Likelihood(Cost.SQUARED, 800.0),
-        "robust": Likelihood(Cost.ROBUST, 40.0),
+        "squared": Likelihood(Cost.SQUARED, SQUARED_SHARPNESS),
+        "robust": Likelihood(Cost.ROBUST, 80.0),
         "zncc": Likelihood(Cost.ZNCC, 60.0, fit_gain=False),
         "gradient": Likelihood(Cost.GRADIENT, 60.0),
     }
@@ -66,60 +75,55 @@ def likelihood_named(name: str) -> Likelihood:
     return LIKELIHOODS[name]
 
 
-@dataclass(frozen=True)
-class Observation:
-    """A camera image ready for comparison.
+class Comparison:
+    """Compares states with camera images, by the views rendered at them.
 
-    Attributes:
-        image: ``(H, W, 3)`` RGB, undistorted and area-averaged.
-        intrinsics: of that image.
+    Args:
+        renderer: of the scene.
+        space: what a state is.
+        body_from_camera: ``(4, 4)`` the camera's mount.
+        likelihood: how images are compared and how much that is trusted.
     """
 
-    image: ImageArray
-    intrinsics: Intrinsics
+    def __init__(
+        self,
+        renderer: Renderer,
+        space: StateSpace,
+        body_from_camera: FloatArray,
+        likelihood: Likelihood,
+    ) -> None:
+        self.renderer = renderer
+        self.space = space
+        self.body_from_camera = body_from_camera
+        self.likelihood = likelihood
 
+    def log_likelihoods(self, states: FloatArray, observation: Observation) -> FloatArray:
+        """Log-likelihoods ``(M,)`` of states ``(M, D)``, up to a common constant."""
+        likelihood = self.likelihood
+        costs = self._costs(states, observation, likelihood.cost, likelihood.fit_gain)
+        return -likelihood.sharpness * costs
 
-def observe(image: ImageArray, camera: Camera, undistorter: Undistorter, width: int) -> Observation:
-    """Prepares a recorded image ``(height, width, 3)`` for comparison at ``width`` pixels."""
-    small, intrinsics = pinhole_query(image, camera, undistorter, width)
-    return Observation(small, intrinsics)
+    def match(self, states: FloatArray, observation: Observation) -> float:
+        """How well the best of the states ``(M, D)`` explains the image: its correlation, 0 to 1.
 
+        An absolute figure, other than weights, which only compare hypotheses with each other.
+        """
+        costs = self._costs(states, observation, Cost.ZNCC, False)
+        return float(np.clip(1.0 - 2.0 * costs.min(), 0.0, 1.0))
 
-def costs_of_states(
-    renderer: Renderer,
-    states: FloatArray,
-    base_from_camera: FloatArray,
-    observation: Observation,
-    likelihood: Likelihood,
-) -> FloatArray:
-    """Cost ``(M,)`` in [0, 1] of planar states ``(M, 3)``: the views rendered there, compared."""
-    return renderer.costs(
-        world_from_base_planar(states) @ base_from_camera,
-        observation.intrinsics,
-        observation.image,
-        likelihood.cost,
-        likelihood.fit_gain,
-    )
+    def aligned(
+        self, state: FloatArray, observations: Observations, widths: Sequence[int]
+    ) -> Refined:
+        """A state aligned with the image in these sizes, coarse to fine."""
+        images = [observations.by_width[width] for width in widths]
+        return refine(self.renderer, self.space, state, self.body_from_camera, images)
 
-
-def image_match(
-    renderer: Renderer,
-    state: FloatArray,
-    base_from_camera: FloatArray,
-    observation: Observation,
-) -> float:
-    """How well the view rendered at a state explains the image: their correlation, at least 0.
-
-    An absolute figure, other than weights, which only compare hypotheses with each other.
-    """
-    cost = renderer.costs(
-        world_from_base_planar(state[None]) @ base_from_camera,
-        observation.intrinsics,
-        observation.image,
-        Cost.ZNCC,
-        False,
-    )
-    return float(np.clip(1.0 - 2.0 * cost[0], 0.0, 1.0))
+    def _costs(
+        self, states: FloatArray, observation: Observation, cost: Cost, fit_gain: bool
+    ) -> FloatArray:
+        poses = self.space.poses(states) @ self.body_from_camera
+        image = observation.image
+        return self.renderer.costs(poses, observation.intrinsics, image, cost, fit_gain)
 
 
 def tempered(

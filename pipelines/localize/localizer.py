@@ -1,14 +1,8 @@
-"""The particle filter: image and odometry in, belief and estimates out, frame by frame.
+"""The localizer: image and odometry in, belief and estimates out, frame by frame.
 
-Two strategies share the recursion of the paper's equation (2):
-
-``condensation`` is the paper's filter, step by step: draw particles with probability proportional
-to their weights, move each by a sample of the motion model, weight it with the likelihood of the
-image, normalise; the number of particles is constant and the estimate is the heaviest one.
-
-``coarse_to_fine`` finds the robot from anywhere: it starts with many particles and small images,
-keeps the likelihood from killing all but one of them, spreads what it duplicates, and shrinks the
-number of particles as the belief narrows.
+A frame's way: the image is prepared (``observation``), a strategy carries the belief on
+(``strategies``, ``informed``), and from the belief come the estimates, their covariance, and
+whether they can be relied on.
 """
 
 import math
@@ -21,18 +15,11 @@ import numpy as np
 
 from pipelines.artifacts.array_types import FloatArray, ImageArray
 from pipelines.artifacts.errors import OptionError
-from pipelines.geometry.camera import Camera, Undistorter
-from pipelines.geometry.pose import wrap_angle
+from pipelines.geometry.camera import Camera
 from pipelines.lightfield.proxy import Quality, quality_named
 from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.scene import Scene
-from pipelines.localize.belief import (
-    Belief,
-    effective_sample_size,
-    gaussian_belief,
-    normalise_log_weights,
-    uniform_belief,
-)
+from pipelines.localize.belief import Belief, Region, effective_sample_size, region_of_area
 from pipelines.localize.estimate import (
     Mode,
     confidence,
@@ -41,40 +28,41 @@ from pipelines.localize.estimate import (
     mean_state,
     modes_table,
 )
-from pipelines.localize.likelihood import (
-    Observation,
-    costs_of_states,
-    image_match,
-    observe,
-    tempered,
-)
-from pipelines.localize.motion import predict
-from pipelines.localize.population import next_count, roughened
-from pipelines.localize.resampling import resample
+from pipelines.localize.informed import Informed
+from pipelines.localize.likelihood import Comparison
+from pipelines.localize.motion import checked_increment
+from pipelines.localize.observation import Observations, Observer
+from pipelines.localize.refinement import Refined
 from pipelines.localize.run import FrameRecord
 from pipelines.localize.settings import LocalizerSettings
+from pipelines.localize.state_space import StateSpace, state_space_of_dimension
+from pipelines.localize.strategies import CoarseToFine, Condensation, Strategy
 
 # The view at the estimate explains the image worse than this (correlation): the robot is lost.
 LOST_MATCH = 0.3
 # One mode holds this share of the weight and is narrower than this: the search is over.
 TRACKING_SHARE = 0.9
 TRACKING_POSITION, TRACKING_HEADING = 0.35, math.radians(10.0)
+# Errors of the model (reflections, a surface that is not quite there) reach farther than a tile of
+# the image: the alignment's standard deviations times this cover the truth as often as they should.
+MODEL_ERROR = 3.0
 # Photos are kept at so many times the width of the finest comparison.
 VIEW_RESOLUTION_FACTOR = 4
+# A hand-held camera may be so many metres from where the recorded views were.
+AROUND_VIEWS = 0.5
 
 
 Result = TypeVar("Result")
 
 
 class Localizer:
-    """Follows one robot through one scene.
-
-    The state is planar: x, y on the ground and the heading; the camera sits on its mount.
+    """Follows one body through one scene.
 
     Args:
         scene: the light field.
         camera: of the robot; need not be the one that recorded the scene.
-        base_from_camera: ``(4, 4)`` its mount on the robot.
+        body_from_camera: ``(4, 4)`` its mount on the robot; the identity where the camera is the
+            body.
         settings: the filter's settings.
         rng: the only source of randomness.
         renderer: of the scene; made here when None.
@@ -87,16 +75,15 @@ class Localizer:
         self,
         scene: Scene,
         camera: Camera,
-        base_from_camera: FloatArray,
+        body_from_camera: FloatArray,
         settings: LocalizerSettings,
         rng: np.random.Generator,
         renderer: Renderer | None = None,
     ) -> None:
         self.settings = settings
+        self.space = settings.state_space
         self._camera = camera
-        self._base_from_camera = base_from_camera
-        self._undistorter = Undistorter(camera)
-        self._rng = rng
+        self._observer = Observer(camera, settings.widths)
         if renderer is None:
             renderer = Renderer.of_scene(
                 scene,
@@ -105,16 +92,11 @@ class Localizer:
                 quality_named(settings.quality, bool(scene.depth), Quality.MEDIUM),
                 settings.threads,
             )
-        self._renderer = renderer
-        self._belief = self._start(scene)
-        self._drawn = self._belief
-        self._is_first = True
+        self._comparison = Comparison(renderer, self.space, body_from_camera, settings.likelihood)
+        region = _region(scene, self.space, settings)
+        views = scene.world_from_camera
+        self._strategy = _strategy(self._comparison, region, views, settings, rng)
         self._is_searching = settings.start is None
-
-    @property
-    def belief(self) -> Belief:
-        """The belief after the last image, before resampling."""
-        return self._belief
 
     def step(
         self,
@@ -127,9 +109,9 @@ class Localizer:
 
         Args:
             image: ``(height, width, 3)`` RGB as recorded.
-            odometry_increment: ``(3,)``: metres forward, metres to the left and radians
-                counter-clockwise, in the robot's frame before the motion; None: it did not move, or
-                nobody knows (for the first image it is not used).
+            odometry_increment: ``(D,)``: metres along the body's axes and radians about them (for
+                a robot on the floor: forward, left, counter-clockwise), in the body's frame before
+                the motion; None: nobody knows, a random walk. Not used for the first image.
             timestamp: seconds, kept in the record.
             image_name: kept in the record.
 
@@ -139,94 +121,41 @@ class Localizer:
         Raises:
             OptionError: an image of another size than the camera, or a motion that is not finite.
         """
+        # Before anything is remembered of the image: what is refused leaves no trace.
+        motion = checked_increment(self.space, odometry_increment)
         seconds: dict[str, float] = {}
-        width = self.settings.fine_width
-        if self._is_coarse():
-            width = self.settings.coarse_width
-        observation = _timed(
-            seconds, "prepare", lambda: observe(image, self._camera, self._undistorter, width)
-        )
-        states = _timed(seconds, "motion", lambda: self._predicted(odometry_increment))
-        self._belief = _timed(seconds, "likelihood", lambda: self._weighted(states, observation))
+        observations = _timed(seconds, "prepare", lambda: self._observer(image))
+        belief = _timed(seconds, "filter", lambda: self._strategy.update(observations, motion))
         record = _timed(
             seconds,
             "estimate",
-            lambda: self._concluded(observation, timestamp, image_name),
+            lambda: self._concluded(belief, observations, timestamp, image_name),
         )
-        self._drawn = _timed(seconds, "resampling", self._resampled)
-        self._is_first = False
         return replace(record, seconds=seconds)
 
-    def _start(self, scene: Scene) -> Belief:
-        settings = self.settings
-        count = settings.start_particles if settings.is_coarse_to_fine else settings.particles
-        if settings.start is not None:
-            state = np.array(settings.start, dtype=np.float64)
-            return gaussian_belief(
-                state,
-                settings.start_position_sigma,
-                settings.start_heading_sigma,
-                settings.particles,
-                self._rng,
-            )
-        area = scene.bounds if settings.area is None else np.array(settings.area)
-        low_x, high_x, low_y, high_y = scene.bounds
-        if area[0] >= high_x or area[1] <= low_x or area[2] >= high_y or area[3] <= low_y:
-            raise OptionError(
-                "the area lies outside of the scene model, which covers "
-                f"x {low_x:.2f} to {high_x:.2f} m, y {low_y:.2f} to {high_y:.2f} m"
-            )
-        return uniform_belief(area, count, self._rng)
-
-    def _is_coarse(self) -> bool:
-        enough = 4 * self.settings.particles
-        return self.settings.is_coarse_to_fine and len(self._drawn) > enough
-
-    def _predicted(self, increment: FloatArray | None) -> FloatArray:
-        """Samples of p(x_t | x_t-1, m_t): every particle moved by odometry and noise."""
-        states = self._drawn.states
-        if self._is_first:
-            return states
-        motion = np.zeros(3) if increment is None else np.asarray(increment, dtype=np.float64)
-        if motion.shape != (3,) or not np.all(np.isfinite(motion)):
-            raise OptionError(f"odometry increment {motion} is not three finite numbers")
-        moved = predict(states, motion, self.settings.motion, self._rng)
-        if not self.settings.is_coarse_to_fine:
-            return moved
-        return roughened(moved, self.settings.roughening, self._rng)
-
-    def _weighted(self, states: FloatArray, observation: Observation) -> Belief:
-        """The prior weights times the likelihood of the image."""
-        settings = self.settings
-        costs = costs_of_states(
-            self._renderer, states, self._base_from_camera, observation, settings.likelihood
-        )
-        log_likelihoods = -settings.likelihood.sharpness * costs
-        prior = self._drawn.log_weights
-        if settings.is_coarse_to_fine:
-            log_weights, _ = tempered(prior, log_likelihoods, settings.smallest_effective_share)
-        else:
-            log_weights, _ = normalise_log_weights(prior + log_likelihoods)
-        return Belief(states, log_weights)
-
     def _concluded(
-        self, observation: Observation, timestamp: float, image_name: str
+        self, belief: Belief, observations: Observations, timestamp: float, image_name: str
     ) -> FrameRecord:
         """Estimates, their covariance, and whether they can be relied on."""
-        belief = self._belief
         modes = find_modes(belief)
         main = modes[0]
         best = max_weight_state(belief)
-        match = max(
-            image_match(self._renderer, state, self._base_from_camera, observation)
-            for state in (best, main.state)
-        )
         effective = effective_sample_size(belief.log_weights)
         self._is_searching = self._is_searching and not _is_settled(main)
-        status = "global" if self._is_searching else "tracking"
-        estimates = {"max_weight": best, "mean": mean_state(belief), "mode": main.state}
-        if match < LOST_MATCH and not self._is_searching:
-            status, estimates = "lost", {}
+        match = 0.0
+        if not observations.is_blind:
+            observation = observations.by_width[self.settings.fine_width]
+            match = self._comparison.match(np.stack([best, main.state]), observation)
+        status = self._status(observations, match)
+        estimates: dict[str, FloatArray] = {}
+        refined = None
+        if status != "lost":
+            estimates = {"max_weight": best, "mean": mean_state(belief), "mode": main.state}
+        if status == "tracking":
+            refined = self._refined(main, observations)
+            if refined is not None:
+                estimates["refined"] = refined.state
+            self._strategy.learn(main.state if refined is None else refined.state)
         return FrameRecord(
             timestamp=timestamp,
             image_name=image_name,
@@ -239,27 +168,79 @@ class Localizer:
             confidence=confidence(effective, main.covariance, main.share, match),
             status=status,
             seconds={},
+            refined_covariance=None if refined is None else refined.covariance,
         )
 
-    def _resampled(self) -> Belief:
-        """Particles drawn with probability proportional to their weights."""
-        settings, belief = self.settings, self._belief
-        count = settings.particles
-        if settings.is_coarse_to_fine:
-            count = next_count(belief, settings.particles, settings.shrink_factor)
-            enough = settings.resampling_threshold * len(belief)
-            if count == len(belief) and effective_sample_size(belief.log_weights) > enough:
-                return belief
-        indices = resample(belief.log_weights, count, settings.resampling, self._rng)
-        states = belief.states[indices]
-        states[:, 2] = wrap_angle(states[:, 2])
-        return Belief(states, np.full(count, -math.log(count)))
+    def _status(self, observations: Observations, match: float) -> str:
+        if self._is_searching:
+            return "global"
+        if observations.is_blind:
+            return "blind"
+        return "lost" if match < LOST_MATCH else "tracking"
+
+    def _refined(self, main: Mode, observations: Observations) -> Refined | None:
+        """The main mode aligned with the image; None where that leads nowhere or elsewhere."""
+        settings = self.settings
+        if settings.refine_width == 0:
+            return None
+        widths = [width for width in settings.widths if width >= settings.fine_width]
+        refined = self._comparison.aligned(main.state, observations, widths)
+        if not math.isfinite(refined.error):
+            return None
+        positions, angles = self.space.positions, self.space.angles
+        offset = self.space.difference(refined.state, main.state)
+        metres = float(np.linalg.norm(offset[:positions]))
+        radians = float(np.linalg.norm(offset[positions:]))
+        # Another place is not a finer answer to the same question.
+        if metres > TRACKING_POSITION or radians > TRACKING_HEADING:
+            return None
+        sigmas = [settings.map_position_sigma] * positions + [settings.map_heading_sigma] * angles
+        covariance = MODEL_ERROR**2 * refined.covariance + np.diag(np.square(sigmas))
+        return replace(refined, covariance=covariance)
+
+
+def _region(scene: Scene, space: StateSpace, settings: LocalizerSettings) -> Region:
+    """Where the body may be.
+
+    Raises:
+        OptionError: the area does not touch what the scene covers.
+    """
+    bounds = np.asarray(scene.bounds, dtype=np.float64)
+    area = bounds if settings.area is None else np.array(settings.area)
+    if area[0] >= bounds[1] or area[1] <= bounds[0] or area[2] >= bounds[3] or area[3] <= bounds[2]:
+        raise OptionError(
+            "the area lies outside of the scene model, which covers "
+            f"x {bounds[0]:.2f} to {bounds[1]:.2f} m, y {bounds[2]:.2f} to {bounds[3]:.2f} m"
+        )
+    if space.positions == 2:
+        return region_of_area(area)
+    centres = scene.world_from_camera[:, :3, 3]
+    low, high = centres.min(axis=0) - AROUND_VIEWS, centres.max(axis=0) + AROUND_VIEWS
+    if settings.area is not None:
+        low[:2], high[:2] = area[[0, 2]], area[[1, 3]]
+    return Region(low, high)
+
+
+def _strategy(
+    comparison: Comparison,
+    region: Region,
+    world_from_camera: FloatArray,
+    settings: LocalizerSettings,
+    rng: np.random.Generator,
+) -> Strategy:
+    if settings.strategy == "condensation":
+        return Condensation(comparison, region, settings, rng)
+    if settings.strategy == "coarse_to_fine":
+        return CoarseToFine(comparison, region, settings, rng)
+    return Informed(comparison, region, world_from_camera, settings, rng)
 
 
 def _is_settled(main: Mode) -> bool:
     """Whether one narrow mode holds nearly all of the weight."""
-    position = math.sqrt(float(main.covariance[0, 0] + main.covariance[1, 1]))
-    heading = math.sqrt(float(main.covariance[2, 2]))
+    positions = state_space_of_dimension(len(main.covariance)).positions
+    variances = np.diag(main.covariance)
+    position = math.sqrt(float(variances[:positions].sum()))
+    heading = math.sqrt(float(variances[positions:].sum()))
     return (
         main.share >= TRACKING_SHARE
         and position <= TRACKING_POSITION

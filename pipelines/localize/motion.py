@@ -11,17 +11,19 @@ translation and r the size of its turn:
     and across the heading, each        alpha3 t^2 + alpha4 r^2 + position_floor^2
 
 The floor keeps particles apart while the robot stands still, and stands for what odometry does not
-know about: slip, a map that is some centimetres off.
+know about: slip, a map that is some centimetres off. A pose with six degrees of freedom takes the
+same variances along its three axes and about them. Where no odometry is known the motion is a
+random walk.
 """
 
+import math
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from pipelines.artifacts.array_types import FloatArray
 from pipelines.artifacts.errors import OptionError
-from pipelines.geometry.pose import planar_state_of, wrap_angle
+from pipelines.localize.state_space import StateSpace
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,8 @@ class MotionModel:
         alpha4: position noise from turning, m^2 a rad^2.
         position_floor: standard deviation of x and of y that each step adds, metres.
         heading_floor: standard deviation of the heading that each step adds, radians.
+        walk_position: standard deviation along each axis of a step without odometry, metres.
+        walk_heading: likewise about each axis, radians.
 
     Raises:
         OptionError: a value that is negative or not finite.
@@ -46,6 +50,8 @@ class MotionModel:
     alpha4: float = 0.01
     position_floor: float = 0.02
     heading_floor: float = 0.01
+    walk_position: float = 0.15
+    walk_heading: float = 0.12
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -53,58 +59,46 @@ class MotionModel:
             if not (np.isfinite(value) and value >= 0.0):
                 raise OptionError(f"motion noise {field.name} = {value:g} is not 0 or more")
 
-    def standard_deviations(self, increment: ArrayLike) -> tuple[float, float]:
-        """Noise of one step: of the translation along each axis (metres), of the heading (radians).
+    def standard_deviations(
+        self, space: StateSpace, increment: FloatArray | None
+    ) -> tuple[float, float]:
+        """Noise of one step: along each axis (metres) and of each angle (radians).
 
         Args:
-            increment: ``(3,)`` dx, dy (metres), dheading (radians).
+            space: what a state is.
+            increment: ``(D,)`` in the body's frame; None: nobody knows.
         """
-        dx, dy, turn = np.asarray(increment, dtype=np.float64)
-        translation_squared, turn_squared = dx * dx + dy * dy, turn * turn
+        if increment is None:
+            return self.walk_position, self.walk_heading
+        translation_squared = float(np.sum(increment[: space.positions] ** 2))
+        turn_squared = float(np.sum(increment[space.positions :] ** 2))
         position_variance = (
             self.alpha3 * translation_squared + self.alpha4 * turn_squared + self.position_floor**2
         )
         heading_variance = (
             self.alpha1 * turn_squared + self.alpha2 * translation_squared + self.heading_floor**2
         )
-        return float(np.sqrt(position_variance)), float(np.sqrt(heading_variance))
+        return math.sqrt(position_variance), math.sqrt(heading_variance)
 
 
-def planar_increment(odometry_pose_a: FloatArray, odometry_pose_b: FloatArray) -> FloatArray:
-    """The motion between two odometry poses, seen from the first.
-
-    Args:
-        odometry_pose_a: ``(4, 4)`` world_from_base before, in odometry's own world.
-        odometry_pose_b: ``(4, 4)`` world_from_base after, in the same world.
-
-    Returns:
-        ``(3,)``: dx forward and dy to the left in metres, dheading in radians, in (-pi, pi].
+def checked_increment(space: StateSpace, increment: FloatArray | None) -> FloatArray | None:
+    """An odometry increment as an array; None stays None.
 
     Raises:
-        OptionError: a pose that is not finite.
+        OptionError: not D finite numbers.
     """
-    before, after = planar_state_of(odometry_pose_a), planar_state_of(odometry_pose_b)
-    if not (np.all(np.isfinite(before)) and np.all(np.isfinite(after))):
-        raise OptionError("an odometry pose is not finite")
-    cosine, sine = np.cos(before[2]), np.sin(before[2])
-    dx, dy = after[:2] - before[:2]
-    turn = float(wrap_angle(after[2] - before[2]))
-    return np.array([cosine * dx + sine * dy, -sine * dx + cosine * dy, turn])
-
-
-def compose(states: FloatArray, increments: FloatArray) -> FloatArray:
-    """States ``(..., 3)`` after motions ``(..., 3)`` given in each state's own frame."""
-    cosine, sine = np.cos(states[..., 2]), np.sin(states[..., 2])
-    moved = np.empty(np.broadcast_shapes(states.shape, increments.shape))
-    moved[..., 0] = states[..., 0] + cosine * increments[..., 0] - sine * increments[..., 1]
-    moved[..., 1] = states[..., 1] + sine * increments[..., 0] + cosine * increments[..., 1]
-    moved[..., 2] = wrap_angle(states[..., 2] + increments[..., 2])
-    return moved
+    if increment is None:
+        return None
+    motion = np.asarray(increment, dtype=np.float64)
+    if motion.shape != (space.dimension,) or not np.all(np.isfinite(motion)):
+        raise OptionError(f"odometry increment {motion} is not {space.dimension} finite numbers")
+    return motion
 
 
 def predict(
+    space: StateSpace,
     states: FloatArray,
-    increment: ArrayLike,
+    increment: FloatArray | None,
     model: MotionModel,
     rng: np.random.Generator,
     scale: float = 1.0,
@@ -112,24 +106,20 @@ def predict(
     """Draws each particle's next state from p(x_t | x_{t-1}, m_t).
 
     Args:
-        states: ``(M, 3)`` x, y (metres), heading (radians).
-        increment: ``(3,)`` dx, dy, dheading as measured by odometry, in the robot's frame.
+        space: what a state is.
+        states: ``(M, D)``.
+        increment: ``(D,)`` as measured by odometry, in the body's frame; None: a random walk.
         model: the noise.
         rng: source of the draws; the same number is consumed whatever the noise.
         scale: factor on all standard deviations (a wide belief is searched with more noise).
 
-    Returns:
-        ``(M, 3)`` new states, headings in (-pi, pi].
-
     Raises:
-        OptionError: an increment that is not three finite numbers, or a negative or infinite scale.
+        OptionError: an increment that is not D finite numbers, or a negative or infinite scale.
     """
-    motion = np.asarray(increment, dtype=np.float64)
-    if motion.shape != (3,) or not np.all(np.isfinite(motion)):
-        raise OptionError("an odometry increment takes three finite numbers dx, dy, dheading")
+    motion = checked_increment(space, increment)
     if not (np.isfinite(scale) and scale >= 0.0):
         raise OptionError(f"noise scale {scale:g} is not 0 or more")
-    position_sigma, heading_sigma = model.standard_deviations(motion)
-    spread = scale * np.array([position_sigma, position_sigma, heading_sigma])
-    noisy_motions = motion + spread * rng.standard_normal((len(states), 3))
-    return compose(states, noisy_motions)
+    position_sigma, heading_sigma = model.standard_deviations(space, motion)
+    spread = scale * np.array([position_sigma] * space.positions + [heading_sigma] * space.angles)
+    noise = spread * rng.standard_normal((len(states), space.dimension))
+    return space.composed(states, noise if motion is None else motion + noise)

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.stats import norm
 
 from pipelines.artifacts.array_types import FloatArray
-from pipelines.geometry.pose import wrap_angle
 from pipelines.localize.belief import Belief
+from pipelines.localize.state_space import StateSpace, cells_of, state_space_of_dimension
 
 # Cells in which particles are counted for the KLD bound.
 CELL_POSITION, CELL_HEADING = 0.25, math.radians(15.0)
@@ -15,8 +15,6 @@ CELL_POSITION, CELL_HEADING = 0.25, math.radians(15.0)
 KLD_ERROR, KLD_QUANTILE = 0.08, 0.99
 # Cells that hold less than this share of the weight are not part of the belief any more.
 NEGLIGIBLE_SHARE = 1e-4
-# A uniform heading has no standard deviation; this is that of the uniform distribution.
-LARGEST_HEADING_SPREAD = math.pi / math.sqrt(3.0)
 
 
 def kld_count(occupied_cells: int) -> int:
@@ -40,12 +38,8 @@ def next_count(belief: Belief, smallest: int, shrink_factor: float) -> int:
     What the KLD bound asks for, but never fewer than ``smallest``, never more than now, and not
     less than ``shrink_factor`` of now: several images have to agree before hypotheses are given up.
     """
-    cells = np.column_stack(
-        [
-            np.floor(belief.states[:, :2] / CELL_POSITION),
-            np.floor(wrap_angle(belief.states[:, 2]) / CELL_HEADING),
-        ]
-    )
+    space = state_space_of_dimension(belief.states.shape[1])
+    cells = cells_of(space, belief.states, CELL_POSITION, CELL_HEADING)
     _, members = np.unique(cells, axis=0, return_inverse=True)
     shares = np.bincount(members.reshape(-1), weights=belief.weights)
     wanted = kld_count(int(np.count_nonzero(shares > NEGLIGIBLE_SHARE)))
@@ -53,29 +47,20 @@ def next_count(belief: Belief, smallest: int, shrink_factor: float) -> int:
     return max(smallest, min(len(belief), max(wanted, slowest)))
 
 
-def roughened(states: FloatArray, factor: float, rng: np.random.Generator) -> FloatArray:
+def roughened(
+    space: StateSpace, states: FloatArray, factor: float, rng: np.random.Generator
+) -> FloatArray:
     """Spreads equally weighted particles so that copies of one explore its surroundings.
 
-    Normal noise of standard deviation ``factor`` times the spread times M^(-1/3) in each of the
-    three
+    Normal noise of standard deviation ``factor`` times the spread times M^(-1/D) in each of the D
     dimensions: the distance between M evenly spaced particles (roughening, Gordon, Salmond, Smith
     1993, section 3).
 
     Args:
-        states: ``(M, 3)``.
+        space: what a state is.
+        states: ``(M, D)``.
         factor: 0 adds nothing.
         rng: source of randomness.
     """
-    resultant = float(np.hypot(np.cos(states[:, 2]).mean(), np.sin(states[:, 2]).mean()))
-    heading_spread = math.sqrt(-2.0 * math.log(max(min(resultant, 1.0), 1e-12)))
-    spread = np.array(
-        [
-            states[:, 0].std(),
-            states[:, 1].std(),
-            min(heading_spread, LARGEST_HEADING_SPREAD),
-        ]
-    )
-    sigma = factor * spread * len(states) ** (-1.0 / 3.0)
-    moved: FloatArray = states + rng.normal(size=states.shape) * sigma
-    moved[:, 2] = wrap_angle(moved[:, 2])
-    return moved
+    sigma = factor * space.spread(states) * len(states) ** (-1.0 / space.dimension)
+    return space.moved(states, rng.normal(size=states.shape) * sigma)

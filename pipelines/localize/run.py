@@ -1,11 +1,11 @@
 """The run: what the filter believed frame by frame, in memory and as the file ``run.h5``.
 
 Layout of the file: ``run`` (JSON: scene, data set, camera, settings, seed, provenance),
-``base_from_camera``, ``odometry`` and ``groundtruth`` where known, and a group a frame,
-``frames/0000`` ..., with ``frame`` (JSON), ``image`` (the recorded file's bytes), ``particles``,
-``log_weights``, ``modes``, ``covariance`` and ``estimates/NAME``. Seconds of wall time are
-attributes of the frame's group: all datasets of two runs with the same seed are equal, and time
-never is.
+``base_from_camera``, ``odometry`` and ``groundtruth`` where known, ``docking`` where the robot was
+docked (``docking_record``), and a group a frame, ``frames/0000`` ..., with ``frame`` (JSON),
+``image`` (the recorded file's bytes), ``particles``, ``log_weights``, ``modes``, ``covariance``,
+``estimates/NAME`` and ``refined_covariance``. Seconds of wall time are attributes of the frame's
+group: all datasets of two runs with the same seed are equal, and time never is.
 """
 
 import os
@@ -30,10 +30,12 @@ from pipelines.artifacts.safe_hdf5 import (
 )
 from pipelines.geometry.camera import Camera
 from pipelines.localize.belief import Belief
+from pipelines.localize.docking_record import DockingRecord, read_docking, write_docking
+from pipelines.localize.state_space import StateSpace, state_space_of_dimension
 
 FORMAT = "lfnav run"
-SCHEMA_VERSION = 1
-STATUSES = ("global", "tracking", "lost")
+SCHEMA_VERSION = 2
+STATUSES = ("global", "tracking", "blind", "lost")
 # The first of these that the frames have stands for the run where nobody asks for another one.
 ESTIMATE_PREFERENCE = ("refined", "mode", "mean", "max_weight")
 MAX_IMAGE_BYTES = 256 * 1024 * 1024
@@ -49,16 +51,18 @@ class FrameRecord:
     Attributes:
         timestamp: seconds.
         image_name: as in the data set.
-        particles: ``(M, 3)`` x, y (metres), heading (radians), weighted with this image, before
+        particles: ``(M, D)`` states, metres and radians, weighted with this image, before
             resampling.
         log_weights: ``(M,)`` normalised.
-        estimates: name -> state ``(3,)``; empty where no estimate can be given (lost).
-        modes: ``(K, 4)`` x, y, heading, share of the weight; heaviest first.
-        covariance: ``(3, 3)`` of the heaviest mode.
+        estimates: name -> state ``(D,)``; empty where no estimate can be given (lost).
+        modes: ``(K, D + 1)`` state and share of the weight; heaviest first.
+        covariance: ``(D, D)`` of the heaviest mode.
         effective_sample_size: of the weights.
         confidence: 0 to 1.
-        status: one of ``STATUSES``: still searching, following one mode, or lost.
+        status: one of ``STATUSES``: still searching, following one mode, following it by odometry
+            alone since the image shows nothing, or lost.
         seconds: stage -> wall time.
+        refined_covariance: ``(D, D)`` of the error of the estimate ``refined``, or None.
 
     Raises:
         OptionError: shapes, ranges or names that do not fit the above.
@@ -76,16 +80,21 @@ class FrameRecord:
     confidence: float
     status: str
     seconds: Mapping[str, float]
+    refined_covariance: FloatArray | None = None
 
     def __post_init__(self) -> None:
         # Belief's own checks are the ones that particles and weights have to pass.
         Belief(self.particles, self.log_weights)
+        dimension = self.particles.shape[1]
         for name, state in self.estimates.items():
             if not name.isidentifier():
                 raise OptionError(f"{name!r} is not a name for an estimate")
-            _check_finite(f"estimate {name}", state, (3,))
-        _check_finite("modes", self.modes, (len(self.modes), 4))
-        _check_finite("covariance", self.covariance, (3, 3))
+            _check_finite(f"estimate {name}", state, (dimension,))
+        _check_finite("modes", self.modes, (len(self.modes), dimension + 1))
+        _check_finite("covariance", self.covariance, (dimension, dimension))
+        if self.refined_covariance is not None:
+            shape = (dimension, dimension)
+            _check_finite("covariance of refined", self.refined_covariance, shape)
         if self.status not in STATUSES:
             raise OptionError(f"status {self.status!r} is none of {', '.join(STATUSES)}")
         if not 0.0 <= self.confidence <= 1.0:
@@ -117,9 +126,10 @@ class Run:
         seed: of the random numbers.
         frames: at least one, in order of time.
         encoded_images: the camera images' file content, one a frame, as recorded.
-        odometry: ``(N, 3)`` planar states of integrated odometry in its own frame, or None.
-        groundtruth: ``(N, 3)`` true states, NaN in frames without one, or None.
+        odometry: ``(N, D)`` states of integrated odometry in its own frame, or None.
+        groundtruth: ``(N, D)`` true states, NaN in frames without one, or None.
         provenance: versions and hashes of the inputs, plain JSON types.
+        docking: goal, commands and outcome, where the robot was docked and not only followed.
 
     Raises:
         OptionError: no frames, or parts of different length, or times that do not increase.
@@ -137,6 +147,7 @@ class Run:
     odometry: FloatArray | None
     groundtruth: FloatArray | None
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    docking: DockingRecord | None = None
 
     def __post_init__(self) -> None:
         count = len(self.frames)
@@ -147,10 +158,19 @@ class Run:
         if np.any(np.diff(self.timestamps) <= 0.0):
             raise OptionError("the frames' timestamps do not increase")
         _check_finite("base_from_camera", self.base_from_camera, (4, 4))
+        dimension = self.frames[0].particles.shape[1]
+        if any(frame.particles.shape[1] != dimension for frame in self.frames):
+            raise OptionError("the frames' states differ in their degrees of freedom")
+        shape = (count, dimension)
         if self.odometry is not None:
-            _check_finite("odometry", self.odometry, (count, 3))
-        if self.groundtruth is not None and self.groundtruth.shape != (count, 3):
-            raise OptionError(f"ground truth has shape {self.groundtruth.shape}, not {(count, 3)}")
+            _check_finite("odometry", self.odometry, shape)
+        if self.groundtruth is not None and self.groundtruth.shape != shape:
+            raise OptionError(f"ground truth has shape {self.groundtruth.shape}, not {shape}")
+
+    @property
+    def space(self) -> StateSpace:
+        """What a state of this run is."""
+        return state_space_of_dimension(self.frames[0].particles.shape[1])
 
     @property
     def timestamps(self) -> FloatArray:
@@ -176,7 +196,7 @@ class Run:
         raise OptionError("no frame of the run has an estimate: the filter was lost throughout")
 
     def estimated_states(self, estimate: str | None = None) -> FloatArray:
-        """``(N, 3)`` states of one kind of estimate; NaN in frames where the filter gave none.
+        """``(N, D)`` states of one kind of estimate; NaN in frames where the filter gave none.
 
         Args:
             estimate: its name; None for ``default_estimate``.
@@ -189,7 +209,7 @@ class Run:
             raise OptionError(
                 f"the run has no estimate {name!r}; it has {', '.join(self.estimate_names)}"
             )
-        missing = np.full(3, np.nan)
+        missing = np.full(self.space.dimension, np.nan)
         return np.stack([frame.estimates.get(name, missing) for frame in self.frames])
 
 
@@ -252,6 +272,8 @@ def save_run(path: Path, run: Run, overwrite: bool) -> None:
         for name, states in (("odometry", run.odometry), ("groundtruth", run.groundtruth)):
             if states is not None:
                 write_array(file, name, states)
+        if run.docking is not None:
+            write_docking(file, run.docking)
         for index, (frame, image) in enumerate(zip(run.frames, run.encoded_images, strict=True)):
             _write_frame(file.create_group(_group_name(index)), frame, image)
 
@@ -283,6 +305,7 @@ def _write_frame(group: Any, frame: FrameRecord, image: bytes) -> None:
         "effective_sample_size": float(frame.effective_sample_size),
         "confidence": float(frame.confidence),
         "status": frame.status,
+        "degrees_of_freedom": frame.particles.shape[1],
         "estimates": sorted(frame.estimates),
         "stages": sorted(frame.seconds),
     }
@@ -292,6 +315,8 @@ def _write_frame(group: Any, frame: FrameRecord, image: bytes) -> None:
     write_array(group, "log_weights", frame.log_weights, compress=True)
     write_array(group, "modes", frame.modes)
     write_array(group, "covariance", frame.covariance)
+    if frame.refined_covariance is not None:
+        write_array(group, "refined_covariance", frame.refined_covariance)
     for name, state in frame.estimates.items():
         write_array(group, f"estimates/{name}", state)
     for stage, seconds in frame.seconds.items():
@@ -327,6 +352,7 @@ def _read_run(file: SafeFile) -> Run:
         odometry=_read_optional_states(file, "odometry", count),
         groundtruth=_read_optional_states(file, "groundtruth", count),
         provenance=dict(header["provenance"]),
+        docking=read_docking(file, count),
     )
 
 
@@ -337,17 +363,23 @@ def _read_frame(file: SafeFile, group: str) -> tuple[FrameRecord, bytes]:
     )
     if image.dtype != np.uint8:
         raise InputError(file.path, f"{group}/image is not made of bytes")
+    # Files of schema 1 know robots on the floor only.
+    dimension = int(header.get("degrees_of_freedom", 3))
+    square = (dimension, dimension)
+    refined_covariance = None
+    if file.has(f"{group}/refined_covariance"):
+        refined_covariance = _read_floats(file, f"{group}/refined_covariance", square)
     frame = FrameRecord(
         timestamp=float(header["timestamp"]),
         image_name=str(header["image_name"]),
-        particles=_read_floats(file, f"{group}/particles", (None, 3)),
+        particles=_read_floats(file, f"{group}/particles", (None, dimension)),
         log_weights=_read_floats(file, f"{group}/log_weights", (None,)),
         estimates={
-            str(name): _read_floats(file, f"{group}/estimates/{name}", (3,))
+            str(name): _read_floats(file, f"{group}/estimates/{name}", (dimension,))
             for name in header["estimates"]
         },
-        modes=_read_floats(file, f"{group}/modes", (None, 4)),
-        covariance=_read_floats(file, f"{group}/covariance", (3, 3)),
+        modes=_read_floats(file, f"{group}/modes", (None, dimension + 1)),
+        covariance=_read_floats(file, f"{group}/covariance", square),
         effective_sample_size=float(header["effective_sample_size"]),
         confidence=float(header["confidence"]),
         status=str(header["status"]),
@@ -355,6 +387,7 @@ def _read_frame(file: SafeFile, group: str) -> tuple[FrameRecord, bytes]:
             str(stage): file.attribute(f"{SECONDS_PREFIX}{stage}", float, group)
             for stage in header["stages"]
         },
+        refined_covariance=refined_covariance,
     )
     return frame, image.tobytes()
 
@@ -365,7 +398,7 @@ def _read_floats(file: SafeFile, name: str, shape: tuple[int | None, ...]) -> Fl
 
 
 def _read_optional_states(file: SafeFile, name: str, count: int) -> FloatArray | None:
-    return _read_floats(file, name, (count, 3)) if file.has(name) else None
+    return _read_floats(file, name, (count, None)) if file.has(name) else None
 
 
 def _check_finite(name: str, values: FloatArray, shape: tuple[int, ...]) -> None:

@@ -10,9 +10,13 @@ from pipelines.lightfield.proxy import Quality, quality_named
 from pipelines.localize.likelihood import LIKELIHOODS, Likelihood
 from pipelines.localize.motion import MotionModel
 from pipelines.localize.resampling import SCHEMES
+from pipelines.localize.state_space import StateSpace, state_space_of_dimension
 
-STRATEGIES = ("coarse_to_fine", "condensation")
-ESTIMATES = ("mode", "mean", "max_weight")
+STRATEGIES = ("informed", "coarse_to_fine", "condensation")
+ESTIMATES = ("refined", "mode", "mean", "max_weight")
+# Hypotheses that a search begins with.
+START_PARTICLES = {"informed": 6_000, "coarse_to_fine": 20_000, "condensation": 195}
+DEGREES_OF_FREEDOM = (3, 6)
 MAX_PARTICLES = 10_000_000
 MAX_THREADS = 4096
 
@@ -22,10 +26,14 @@ class LocalizerSettings:
     """Settings of the particle filter.
 
     Attributes:
-        strategy: ``coarse_to_fine`` or ``condensation`` (the paper's filter, step by step).
+        strategy: ``informed``, ``coarse_to_fine`` or ``condensation`` (the paper's filter, step by
+            step).
+        degrees_of_freedom: 3 (a robot on the floor) or 6.
         particles: the number kept while tracking.
-        start_particles: the number at the start of a search (coarse_to_fine).
-        start: x, y (metres) and heading (radians) around which to start; None: anywhere.
+        start_particles: hypotheses that a search begins with: particles (coarse_to_fine), or places
+            whose appearance is compared (informed); None: as ``START_PARTICLES`` says, or
+            ``particles`` where that is more.
+        start: the state around which to start, D numbers, metres and radians; None: anywhere.
         start_position_sigma: standard deviation around ``start``, metres.
         start_heading_sigma: likewise, radians.
         area: x_min, x_max, y_min, y_max to search in; None: the scene's bounds.
@@ -39,23 +47,27 @@ class LocalizerSettings:
         shrink_factor: the fewest particles that remain from one frame to the next, as a share.
         roughening: how far copies of a particle are spread (coarse_to_fine).
         coarse_width, fine_width: pixels across in the comparison, searching and tracking.
+        refine_width: pixels across in the last step of the alignment; 0: no refined estimate.
         blending: how the light field blends its views.
         quality: how finely its surface follows the depth maps; None: ``medium`` where it has some.
         estimate: the estimate that stands for the run.
+        map_position_sigma, map_heading_sigma: how accurate the map's poses are taken to be, metres
+            and radians; part of the refined estimate's covariance.
         threads: of the comparison; None: all processors.
 
     Raises:
         OptionError: a value that makes no sense.
     """
 
-    strategy: str = "coarse_to_fine"
+    strategy: str = "informed"
+    degrees_of_freedom: int = 3
     particles: int = 195
-    start_particles: int = 20_000
-    start: tuple[float, float, float] | None = None
+    start_particles: int | None = None
+    start: tuple[float, ...] | None = None
     start_position_sigma: float = 0.3
     start_heading_sigma: float = math.radians(10.0)
     area: tuple[float, float, float, float] | None = None
-    likelihood: Likelihood = LIKELIHOODS["squared"]
+    likelihood: Likelihood = LIKELIHOODS["robust"]
     motion: MotionModel = field(default_factory=MotionModel)
     resampling: str = "systematic"
     resampling_threshold: float = 0.7
@@ -64,42 +76,76 @@ class LocalizerSettings:
     roughening: float = 1.0
     coarse_width: int = 20
     fine_width: int = 40
+    refine_width: int = 160
     blending: Blending = Blending.UNSTRUCTURED
     quality: str | None = None
-    estimate: str = "mode"
+    estimate: str = "refined"
+    map_position_sigma: float = 0.015
+    map_heading_sigma: float = math.radians(0.4)
     threads: int | None = None
 
     def __post_init__(self) -> None:
         _one_of("strategy", self.strategy, STRATEGIES)
         _one_of("resampling", self.resampling, tuple(SCHEMES))
         _one_of("estimate", self.estimate, ESTIMATES)
+        if self.degrees_of_freedom not in DEGREES_OF_FREEDOM:
+            raise OptionError(f"{self.degrees_of_freedom} degrees of freedom are neither 3 nor 6")
         quality_named(self.quality, has_depth=False, preferred=Quality.MEDIUM)
         _within("number of particles", self.particles, 1, MAX_PARTICLES)
-        _within("number of particles at the start", self.start_particles, 1, MAX_PARTICLES)
-        if self.is_coarse_to_fine and self.start_particles < self.particles:
+        if self.start_particles is not None:
+            _within("number of particles at the start", self.start_particles, 1, MAX_PARTICLES)
+        if self.strategy != "condensation" and self.search_particles < self.particles:
             raise OptionError(
-                f"the search cannot start with fewer particles ({self.start_particles}) than are "
+                f"the search cannot start with fewer particles ({self.search_particles}) than are "
                 f"kept ({self.particles})"
             )
         _within("start position sigma", self.start_position_sigma, 0.0, 1e6)
         _within("start heading sigma", self.start_heading_sigma, 0.0, math.pi)
+        _within("map position sigma", self.map_position_sigma, 0.0, 1e6)
+        _within("map heading sigma", self.map_heading_sigma, 0.0, math.pi)
         _within("resampling threshold", self.resampling_threshold, 0.0, 1.0)
         _within("smallest effective share", self.smallest_effective_share, 0.0, 0.5)
         _within("shrink factor", self.shrink_factor, 0.0, 1.0)
         _within("roughening", self.roughening, 0.0, 10.0)
         _within("coarse width", self.coarse_width, 4, 4096)
         _within("fine width", self.fine_width, 4, 4096)
+        if self.coarse_width > self.fine_width:
+            raise OptionError(
+                f"the coarse width {self.coarse_width} is larger than the fine width "
+                f"{self.fine_width}"
+            )
+        if self.refine_width != 0:
+            _within("refine width", self.refine_width, self.fine_width, 4096)
         if self.threads is not None:
             _within("number of threads", self.threads, 1, MAX_THREADS)
+        if self.start is not None and len(self.start) != self.degrees_of_freedom:
+            raise OptionError(
+                f"a start of {len(self.start)} numbers for {self.degrees_of_freedom} degrees of "
+                "freedom"
+            )
         if self.start is not None and not all(map(math.isfinite, self.start)):
             raise OptionError(f"start {self.start} is not finite")
         if self.area is not None:
             _check_area(self.area)
 
     @property
-    def is_coarse_to_fine(self) -> bool:
-        """Whether the number of particles shrinks from many to ``particles``."""
-        return self.strategy == "coarse_to_fine"
+    def search_particles(self) -> int:
+        """``start_particles``, or what stands for it."""
+        if self.start_particles is not None:
+            return self.start_particles
+        return max(START_PARTICLES[self.strategy], self.particles)
+
+    @property
+    def state_space(self) -> StateSpace:
+        """What a state is."""
+        return state_space_of_dimension(self.degrees_of_freedom)
+
+    @property
+    def widths(self) -> tuple[int, ...]:
+        """Widths in pixels, rising, in which camera images are needed."""
+        doubled = [2 * self.fine_width] if self.refine_width >= 3 * self.fine_width else []
+        finest = [self.refine_width] if self.refine_width else []
+        return tuple(sorted({self.coarse_width, self.fine_width, *doubled, *finest}))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON types; what the run file keeps."""
@@ -111,6 +157,22 @@ class LocalizerSettings:
         # Results do not depend on it, and the file shall not either.
         del values["threads"]
         return values
+
+
+def strategy_defaults(strategy: str) -> dict[str, Any]:
+    """The settings whose defaults a strategy changes, by field; ``strategy`` is among them.
+
+    Heigl, Denzler and Niemann (2001) compare squared differences, draw independently, and take the
+    particle with the most weight.
+    """
+    if strategy != "condensation":
+        return {"strategy": strategy}
+    return {
+        "strategy": strategy,
+        "likelihood": LIKELIHOODS["squared"],
+        "resampling": "multinomial",
+        "estimate": "max_weight",
+    }
 
 
 def _one_of(name: str, value: str, known: tuple[str, ...]) -> None:

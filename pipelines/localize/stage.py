@@ -19,14 +19,13 @@ from pipelines.dataset.dataset import (
     poses_at_images,
 )
 from pipelines.geometry.camera import Camera
-from pipelines.geometry.pose import planar_state_of
 from pipelines.lightfield.bundle import load_scene
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.description import RunSummary
 from pipelines.localize.localizer import Localizer
-from pipelines.localize.motion import planar_increment
 from pipelines.localize.run import Run, relative_scene_path, save_run
 from pipelines.localize.settings import LocalizerSettings
+from pipelines.localize.state_space import StateSpace
 
 
 def localize(
@@ -105,20 +104,23 @@ def localize_dataset(
     Raises:
         InputError: the data set lacks camera, mount or odometry, or an image cannot be read.
     """
-    camera, mount = _camera_and_mount(dataset)
-    if dataset.odometry is None:
+    space = settings.state_space
+    camera, mount = _camera_and_mount(dataset, space)
+    if dataset.odometry is None and space.angles == 1:
         raise InputError(
             odometry_source,
             "is missing: a planar robot is localized with odometry",
             "give the file with --odometry",
         )
-    body_poses = poses_at_images(dataset, dataset.odometry, odometry_source)
+    body_poses = None
+    if dataset.odometry is not None:
+        body_poses = poses_at_images(dataset, dataset.odometry, odometry_source)
     localizer = Localizer(scene, camera, mount, settings, np.random.default_rng(seed))
     frames = []
     for index in progress(range(len(dataset)), "localize", len(dataset)):
         increment = None
-        if index > 0:
-            increment = planar_increment(body_poses[index - 1], body_poses[index])
+        if index > 0 and body_poses is not None:
+            increment = space.increment(body_poses[index - 1], body_poses[index])
         frames.append(
             localizer.step(
                 dataset.read_image(index),
@@ -137,31 +139,33 @@ def localize_dataset(
         seed=seed,
         frames=tuple(frames),
         encoded_images=tuple(dataset.read_image_bytes(index) for index in range(len(dataset))),
-        odometry=planar_state_of(body_poses),
-        groundtruth=_groundtruth_states(dataset),
+        odometry=None if body_poses is None else space.states(body_poses),
+        groundtruth=_groundtruth_states(dataset, space),
         provenance=record,
     )
 
 
-def _camera_and_mount(dataset: Dataset) -> tuple[Camera, FloatArray]:
+def _camera_and_mount(dataset: Dataset, space: StateSpace) -> tuple[Camera, FloatArray]:
     if dataset.camera is None:
         raise InputError(
             dataset.root / CAMERA_FILE, "is missing: localization needs the robot's camera"
         )
+    if dataset.base_from_camera is None and space.angles == 3:
+        return dataset.camera, np.eye(4)
     if dataset.base_from_camera is None:
         raise InputError(
             dataset.root / CAMERA_FILE,
             "has no [mount]: a planar robot needs to know where its camera sits",
-            "add [mount] with x, y, z, roll, pitch, yaw",
+            "add [mount] with x, y, z, roll, pitch, yaw, or give --dof 6 for a hand-held camera",
         )
     return dataset.camera, dataset.base_from_camera
 
 
-def _groundtruth_states(dataset: Dataset) -> FloatArray | None:
-    """``(N, 3)`` true states, NaN where there is none; for evaluation only."""
+def _groundtruth_states(dataset: Dataset, space: StateSpace) -> FloatArray | None:
+    """``(N, D)`` true states, NaN where there is none; for evaluation only."""
     if dataset.groundtruth is None:
         return None
     nearest = dataset.groundtruth.nearest(dataset.timestamps, PAIRING_TOLERANCE)
-    states = np.full((len(dataset), 3), np.nan)
-    states[nearest >= 0] = planar_state_of(dataset.groundtruth.poses[nearest[nearest >= 0]])
+    states = np.full((len(dataset), space.dimension), np.nan)
+    states[nearest >= 0] = space.states(dataset.groundtruth.poses[nearest[nearest >= 0]])
     return states

@@ -1,7 +1,8 @@
 """A run's estimated trajectory in the formats that other programs read.
 
-The pose that leaves is ``world_from_base`` with z = 0. Frames in which the filter gave no estimate
-are left out where the format carries times; KITTI's does not, so there they are an error.
+The pose that leaves is ``world_from_base``, with z = 0 for a robot on the floor. Frames in which
+the filter gave no estimate are left out where the format carries times; KITTI's does not, so there
+they are an error.
 """
 
 import csv
@@ -18,7 +19,7 @@ import numpy as np
 from pipelines.artifacts.array_types import FloatArray
 from pipelines.artifacts.atomic import check_output, write_text
 from pipelines.artifacts.errors import OptionError, StageError
-from pipelines.geometry.pose import quaternion_of, world_from_base_planar
+from pipelines.geometry.pose import quaternion_of
 from pipelines.geometry.trajectory import Trajectory, format_tum
 from pipelines.localize.run import FrameRecord, Run, load_run
 
@@ -26,18 +27,13 @@ EUROC_HEADER = (
     "#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], "
     "q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []"
 )
-CSV_COLUMNS = (
-    "frame",
-    "timestamp_s",
-    "image",
-    "x_m",
-    "y_m",
-    "heading_deg",
-    "status",
-    "confidence",
-    "effective_sample_size",
-    "particles",
-)
+# What the numbers of a state are called, with their units inside; tables say degrees.
+STATE_NAMES = {
+    "planar": ("x_m", "y_m", "heading_rad"),
+    "spatial": ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"),
+}
+CSV_COLUMNS_BEFORE_STATE = ("frame", "timestamp_s", "image")
+CSV_COLUMNS_AFTER_STATE = ("status", "confidence", "effective_sample_size", "particles")
 
 
 @dataclass(frozen=True)
@@ -111,7 +107,7 @@ def estimated_trajectory(run: Run, estimate: str | None = None) -> Trajectory:
     """The estimated poses world_from_base; frames without an estimate are left out."""
     states = run.estimated_states(estimate)
     frames = _estimated_frames(states)
-    return Trajectory(run.timestamps[frames], world_from_base_planar(states[frames]))
+    return Trajectory(run.timestamps[frames], run.space.poses(states[frames]))
 
 
 def _estimated_frames(states: FloatArray) -> list[int]:
@@ -130,7 +126,7 @@ def _kitti(run: Run, estimate: str) -> str:
             f"frame {missing} has no estimate, and KITTI's format, a line a frame without times, "
             "has no way to leave it out; export to another format"
         )
-    rows = world_from_base_planar(states)[:, :3, :].reshape(-1, 12)
+    rows = run.space.poses(states)[:, :3, :].reshape(-1, 12)
     return "".join(" ".join(f"{value:.12e}" for value in row) + "\n" for row in rows)
 
 
@@ -156,17 +152,17 @@ def _csv(run: Run, estimate: str) -> str:
     states = run.estimated_states(estimate)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(CSV_COLUMNS)
+    names = [name.replace("_rad", "_deg") for name in STATE_NAMES[run.space.name]]
+    writer.writerow([*CSV_COLUMNS_BEFORE_STATE, *names, *CSV_COLUMNS_AFTER_STATE])
     for index in _estimated_frames(states):
-        frame, (x, y, heading) = run.frames[index], states[index]
+        frame, state = run.frames[index], states[index].copy()
+        state[run.space.positions :] = np.degrees(state[run.space.positions :])
         writer.writerow(
             [
                 index,
                 repr(float(frame.timestamp)),
                 frame.image_name,
-                f"{x:.9f}",
-                f"{y:.9f}",
-                f"{np.degrees(heading):.9f}",
+                *(f"{value:.9f}" for value in state),
                 frame.status,
                 f"{frame.confidence:.6f}",
                 f"{frame.effective_sample_size:.3f}",
@@ -185,31 +181,35 @@ def _json(run: Run, estimate: str) -> str:
         "estimate": estimate,
         "seed": run.seed,
         "frames": [
-            _json_frame(index, frame, state)
+            _json_frame(index, frame, state, STATE_NAMES[run.space.name])
             for index, (frame, state) in enumerate(zip(run.frames, states, strict=True))
         ],
     }
     return json.dumps(content, indent=2, allow_nan=False) + "\n"
 
 
-def _json_frame(index: int, frame: FrameRecord, state: FloatArray) -> dict[str, Any]:
+def _json_frame(
+    index: int, frame: FrameRecord, state: FloatArray, names: tuple[str, ...]
+) -> dict[str, Any]:
     known = bool(np.all(np.isfinite(state)))
     return {
         "frame": index,
         "timestamp_s": float(frame.timestamp),
         "image": frame.image_name,
-        "state": _json_state(state) if known else None,
+        "state": _json_state(state, names) if known else None,
         "status": frame.status,
         "confidence": float(frame.confidence),
         "effective_sample_size": float(frame.effective_sample_size),
         "particles": len(frame.particles),
         "covariance": frame.covariance.tolist(),
-        "modes": [{**_json_state(mode[:3]), "share": float(mode[3])} for mode in frame.modes],
+        "modes": [
+            {**_json_state(mode[:-1], names), "share": float(mode[-1])} for mode in frame.modes
+        ],
     }
 
 
-def _json_state(state: FloatArray) -> dict[str, float]:
-    return {"x_m": float(state[0]), "y_m": float(state[1]), "heading_rad": float(state[2])}
+def _json_state(state: FloatArray, names: tuple[str, ...]) -> dict[str, float]:
+    return {name: float(value) for name, value in zip(names, state, strict=True)}
 
 
 FORMATS: dict[str, Callable[[Run, str], str]] = {

@@ -29,9 +29,10 @@ CURVES_CAPTION = (
     "All panels share the frame axis. {errors} The shaded bands are what the filter itself "
     "claims: one and two standard deviations of its main cluster of hypotheses. An error that "
     "stays outside the band means that the filter was too sure. Background: yellow while it was "
-    "searching, hatched where it said that it was lost, white while it was tracking. Effective "
-    "sample size: how many equally weighted hypotheses the belief is worth. Bars: wall-clock time "
-    "of each stage of a frame."
+    "searching, hatched where it said that it was lost, grey where the image showed nothing and "
+    "odometry alone carried the pose on, white while it was tracking. Effective sample size: how "
+    "many equally weighted hypotheses the belief is worth. Bars: wall-clock time of each stage of "
+    "a frame."
 )
 FRAME_CAPTION = (
     "Upper row: three pictures of equal size as from one camera, so that a point has to be at the "
@@ -96,6 +97,7 @@ def _course_table(run: Run) -> Table:
     rows = [
         ("tracking", _status_text(run, "tracking")),
         ("searching", _status_text(run, "global")),
+        ("blind, by odometry alone", _status_text(run, "blind")),
         ("lost", _status_text(run, "lost")),
         ("at the last frame", f"{last.status}, confidence {last.confidence:.2f}"),
         ("particles", f"{counts[0]:,} at the first frame, {counts[-1]:,} at the last"),

@@ -262,9 +262,15 @@ def _frame_lines(content: Content, index: int) -> tuple[str, str]:
 def _spread_lines(content: Content, index: int) -> tuple[str, str]:
     covariance = content.run.frames[index].covariance
     sigma = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
+    space = content.run.space
+    lengths = [
+        f"σ {axis} {length_text(float(value))}"
+        for axis, value in zip("xyz", sigma[: space.positions], strict=False)
+    ]
+    angle = "heading" if space.angles == 1 else "angle"
+    degrees = np.degrees(np.linalg.norm(sigma[space.positions :]))
     return (
-        f"σ x {length_text(float(sigma[0]))}, σ y {length_text(float(sigma[1]))}, "
-        f"σ heading {np.degrees(sigma[2]):.1f}°",
+        f"{', '.join(lengths)}, σ {angle} {degrees:.1f}°",
         "of the main cluster, as the filter claims",
     )
 

@@ -16,6 +16,9 @@ from pipelines.report.surroundings import Surroundings
 from pipelines.report.top_view import MIN_MODE_SHARE, PARTICLE_TONES, arrow_marker
 from pipelines.report.tracks import Tracks
 
+# Estimates in frames of these kinds are drawn hollow.
+HOLLOW = {"global": "searching", "blind": "blind"}
+
 
 def legend_entries(
     run: Run, tracks: Tracks, surroundings: Surroundings, indices: Sequence[int]
@@ -24,6 +27,7 @@ def legend_entries(
 
     A handle is an artist or, where a symbol consists of several, a tuple of artists.
     """
+    statuses = {run.frames[i].status for i in indices}
 
     def dot(tone: float) -> Line2D:
         colour = to_hex(PARTICLE_TONES(tone))
@@ -34,7 +38,7 @@ def legend_entries(
             [], [], linestyle="none", marker=arrow_marker(0.0), color=colour, markersize=10.0
         )
 
-    searching = any(run.frames[i].status != "tracking" for i in indices)
+    hollow = [word for status, word in HOLLOW.items() if status in statuses]
     entries: list[tuple[Artist | tuple[Artist, ...], str]] = [
         (
             tuple(dot(tone) for tone in (0.0, 0.5, 1.0)),
@@ -42,7 +46,7 @@ def legend_entries(
         ),
         (
             (Line2D([], [], color=style.ESTIMATE, linewidth=1.4), pose(style.ESTIMATE)),
-            "estimate (hollow: searching)" if searching else "estimate",
+            f"estimate (hollow: {' or '.join(hollow)})" if hollow else "estimate",
         ),
     ]
     ellipse = Line2D(
@@ -56,7 +60,7 @@ def legend_entries(
     if tracks.groundtruth is not None:
         band = Line2D([], [], color=style.TRUTH, linewidth=4.0, alpha=0.45)
         entries.append(((band, pose(style.TRUTH)), "ground truth"))
-    if any(np.sum(run.frames[i].modes[:, 3] >= MIN_MODE_SHARE) > 1 for i in indices):
+    if any(np.sum(run.frames[i].modes[:, -1] >= MIN_MODE_SHARE) > 1 for i in indices):
         mode = Line2D(
             [], [], linestyle="none", marker="D", markersize=8.0, markerfacecolor="none",
             markeredgecolor=style.MODE, markeredgewidth=1.8,

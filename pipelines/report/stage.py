@@ -161,9 +161,9 @@ def _content(
     )
     views = {}
     for index in progress(indices, "views", len(indices)):
-        odometry = None if tracks.odometry is None else tracks.odometry[index]
+        odometry = None if tracks.odometry_states is None else tracks.odometry_states[index]
         try:
-            views[index] = maker.views(index, tracks.estimated[index], odometry)
+            views[index] = maker.views(index, tracks.estimated_states[index], odometry)
         except LfnavError as error:
             raise InputError(run_path, f"frame {index} cannot be shown ({error})") from error
     clouds = [run.frames[index].particles for index in indices]

@@ -27,13 +27,24 @@ UNCOVERED_LIGHT = (250, 240, 246)
 UNCOVERED_DARK = (204, 121, 167)
 
 # Shade and hatch behind the curves while the filter is in a state. Tracking is the normal case.
-STATUS_SHADE = {"global": ("#FAF0CC", ""), "lost": ("#F9D8CA", "//"), "tracking": ("#FFFFFF", "")}
+STATUS_SHADE = {
+    "global": ("#FAF0CC", ""),
+    "lost": ("#F9D8CA", "//"),
+    "blind": ("#D9DEE4", ""),
+    "tracking": ("#FFFFFF", ""),
+}
 HATCH_COLOUR = "#C9714A"
 UNKNOWN_STATUS_SHADE = ("#E0E0E0", "..")
-STATUS_WORDS = {"global": "still searching", "lost": "LOST", "tracking": "tracking"}
+STATUS_WORDS = {
+    "global": "still searching",
+    "lost": "LOST",
+    "blind": "blind, by odometry alone",
+    "tracking": "tracking",
+}
 STATUS_MEANING = {
     "global": "global: still searching",
     "lost": "lost: says it does not know",
+    "blind": "blind: by odometry alone",
     "tracking": "tracking",
 }
 
@@ -42,6 +53,7 @@ STAGE_COLOURS = {
     "prepare": "#999999",
     "motion": "#56B4E9",
     "likelihood": "#0072B2",
+    "filter": "#0072B2",
     "resampling": "#E69F00",
     "estimate": "#009E73",
 }

@@ -11,7 +11,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullFormatter
 
 from pipelines.artifacts.array_types import FloatArray
-from pipelines.geometry.pose import wrap_angle
+from pipelines.localize.evaluation import state_errors
 from pipelines.localize.run import Run
 from pipelines.report import style
 from pipelines.report.tracks import Tracks
@@ -65,20 +65,25 @@ def time_figure(run: Run, tracks: Tracks, indices: Sequence[int]) -> Figure:
 
 
 def claimed_sigmas(run: Run) -> tuple[FloatArray, FloatArray]:
-    """The filter's own standard deviations, ``(N,)`` each: position in metres, heading in radians.
+    """The filter's own standard deviations, ``(N,)`` each: position in metres, angle in radians.
 
-    The position's is that of the distance: the root of the sum of the variances of x and y.
+    The position's is that of the distance: the root of the sum of the variances along the axes. So
+    is that of the angle, where there is more than one.
     """
     variances = np.array([np.diag(frame.covariance) for frame in run.frames])
     variances = np.clip(variances, 0.0, None)
-    return np.sqrt(variances[:, 0] + variances[:, 1]), np.sqrt(variances[:, 2])
+    positions = run.space.positions
+    return (
+        np.sqrt(variances[:, :positions].sum(axis=1)),
+        np.sqrt(variances[:, positions:].sum(axis=1)),
+    )
 
 
 def _draw_deviation(axes: Axes, run: Run, tracks: Tracks, *, heading: bool) -> None:
     """Errors against ground truth; without it, how far estimate and odometry disagree."""
     frames = np.arange(len(run.frames))
     sigma = claimed_sigmas(run)[1 if heading else 0]
-    curves = _deviations(tracks, heading)
+    curves = _deviations(run, tracks, heading)
     shown = np.concatenate([curve.values for curve in curves] or [sigma])
     scale, unit = _heading_unit() if heading else _length_unit(np.append(shown, sigma))
     for factor, alpha in ((2.0, 0.16), (1.0, 0.22)):
@@ -108,7 +113,7 @@ def _draw_deviation(axes: Axes, run: Run, tracks: Tracks, *, heading: bool) -> N
     _scale_deviation(axes, shown[shown > SAME_PLACE] * scale)
 
 
-def _deviations(tracks: Tracks, heading: bool) -> list[_Curve]:
+def _deviations(run: Run, tracks: Tracks, heading: bool) -> list[_Curve]:
     """Errors of estimate and odometry; without ground truth how far the two lie apart."""
     curves = []
     for errors, label, colour, line, marker in (
@@ -119,9 +124,9 @@ def _deviations(tracks: Tracks, heading: bool) -> list[_Curve]:
             degrees, metres = errors.heading_error_deg.per_frame, errors.position_error_m.per_frame
             values = np.radians(degrees) if heading else metres
             curves.append(_Curve(values, label, colour, line, marker))
-    if not curves and tracks.odometry is not None:
-        apart = tracks.estimated - tracks.odometry
-        values = np.abs(wrap_angle(apart[:, 2])) if heading else np.hypot(apart[:, 0], apart[:, 1])
+    if not curves and tracks.odometry_states is not None:
+        apart = state_errors(run.space, tracks.estimated_states, tracks.odometry_states)
+        values = apart[1 if heading else 0]
         curves.append(_Curve(values, "estimate and odometry apart", style.FAINT, "-", "s"))
     return curves
 

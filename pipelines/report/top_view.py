@@ -242,10 +242,10 @@ def _draw_paths(axes: Axes, run: Run, tracks: Tracks, index: int, size: float) -
 
 
 def _draw_modes(axes: Axes, record: FrameRecord, first: int) -> None:
-    modes = record.modes[record.modes[:, 3] >= MIN_MODE_SHARE]
+    modes = record.modes[record.modes[:, -1] >= MIN_MODE_SHARE]
     if len(modes) < 2:
         return
-    for x, y, _, share in modes[first:]:
+    for x, y, share in modes[first:][:, [0, 1, -1]]:
         axes.plot(
             x,
             y,
@@ -275,7 +275,7 @@ def covariance_ellipse(covariance: FloatArray) -> tuple[float, float, float]:
     """Width, height (metres) and angle (degrees) of the 95 % ellipse of x and y.
 
     Args:
-        covariance: ``(3, 3)`` of x, y, heading.
+        covariance: ``(D, D)``, x and y first.
     """
     values, vectors = np.linalg.eigh(covariance[:2, :2])
     width, height = 2.0 * np.sqrt(ELLIPSE_95 * np.clip(values[::-1], 0.0, None))

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipelines.artifacts.array_types import BoolArray, FloatArray
+from pipelines.geometry.pose import camera_heading_of
 from pipelines.localize.evaluation import (
     RunEvaluation,
     TrackEvaluation,
@@ -16,17 +17,22 @@ from pipelines.localize.run import Run
 
 @dataclass(frozen=True)
 class Tracks:
-    """Planar states of the robot base at the frames, ``(N, 3)``: x, y (metres), heading (radians).
+    """Where the body was at the frames, as seen from above (``seen_from_above``), each ``(N, 3)``.
 
     Attributes:
         estimate_name: which estimate of the run ``estimated`` is; "none" where it has none at all.
-        estimated: rows of NaN in frames without an estimate.
-        odometry: placed in the world; None where there was none or it has no place.
+        estimated_states: ``(N, D)``; rows of NaN in frames without an estimate.
+        odometry_states: ``(N, D)`` placed in the world; None where there was none or it has no
+            place.
+        estimated: the same as ``estimated_states``, from above.
+        odometry: likewise.
         groundtruth: rows of NaN in frames without it; None where it is unknown altogether.
         evaluation: errors of the estimate and of odometry; None where they are unknown.
     """
 
     estimate_name: str
+    estimated_states: FloatArray
+    odometry_states: FloatArray | None
     estimated: FloatArray
     odometry: FloatArray | None
     groundtruth: FloatArray | None
@@ -55,7 +61,7 @@ def tracks_of(run: Run, estimate: str | None) -> Tracks:
     """
     if estimate is None and not run.estimate_names:
         # Lost throughout: the report has to show just that.
-        name, estimated = "none", np.full((len(run.frames), 3), np.nan)
+        name, estimated = "none", np.full((len(run.frames), run.space.dimension), np.nan)
     else:
         name = run.default_estimate if estimate is None else estimate
         estimated = run.estimated_states(name)
@@ -65,15 +71,33 @@ def tracks_of(run: Run, estimate: str | None) -> Tracks:
     # Odometry has no place of its own: it is put where the truth or the first estimate is.
     has_place = truth is not None or bool(run.estimate_names)
     comparable = truth is not None and bool(np.any(known_rows(truth) & known_rows(estimated)))
+    odometry = odometry_states(run) if run.odometry is not None and has_place else None
     return Tracks(
         estimate_name=name,
-        estimated=estimated,
-        odometry=odometry_states(run) if run.odometry is not None and has_place else None,
-        groundtruth=truth,
+        estimated_states=estimated,
+        odometry_states=odometry,
+        estimated=seen_from_above(run, estimated),
+        odometry=None if odometry is None else seen_from_above(run, odometry),
+        groundtruth=None if truth is None else seen_from_above(run, truth),
         evaluation=evaluate_run(run, estimate=name) if comparable else None,
     )
 
 
+def seen_from_above(run: Run, states: FloatArray) -> FloatArray:
+    """What a top view shows of states ``(N, D)``: ``(N, 3)`` x, y (metres) and heading (radians).
+
+    A body with six degrees of freedom has no heading of its own; where its camera looks, seen from
+    above, stands for it. Rows of NaN stay such.
+    """
+    if run.space.dimension == 3:
+        return states
+    above = np.full((len(states), 3), np.nan)
+    known = known_rows(states)
+    above[known, :2] = states[known, :2]
+    above[known, 2] = camera_heading_of(run.space.poses(states[known]) @ run.base_from_camera)
+    return above
+
+
 def known_rows(states: FloatArray) -> BoolArray:
-    """Which of the states ``(N, 3)`` are known; ``(N,)``."""
+    """Which of the states ``(N, D)`` are known; ``(N,)``."""
     return np.asarray(np.all(np.isfinite(states), axis=1), dtype=np.bool_)

@@ -8,7 +8,6 @@ import numpy as np
 from pipelines.artifacts.array_types import BoolArray, FloatArray, ImageArray
 from pipelines.dataset.images import decode_image
 from pipelines.geometry.camera import Intrinsics, Undistorter
-from pipelines.geometry.pose import world_from_base_planar
 from pipelines.lightfield.renderer import Renderer, Rendering
 from pipelines.localize.run import Run
 from pipelines.report.style import UNCOVERED_DARK, UNCOVERED_LIGHT
@@ -61,7 +60,7 @@ class ViewMaker:
         self._intrinsics = picture_intrinsics(self._undistort.intrinsics)
 
     def views(self, index: int, estimate: FloatArray, odometry: FloatArray | None) -> FrameViews:
-        """The pictures of frame ``index`` with the states ``(3,)`` to render at.
+        """The pictures of frame ``index`` with the states ``(D,)`` to render at.
 
         Raises:
             InputError: the stored camera image cannot be decoded.
@@ -75,7 +74,7 @@ class ViewMaker:
     def _model_view(self, real: ImageArray, state: FloatArray | None) -> ModelView | None:
         if state is None or not np.all(np.isfinite(state)):
             return None
-        world_from_camera = world_from_base_planar(state) @ self._run.base_from_camera
+        world_from_camera = self._run.space.poses(state) @ self._run.base_from_camera
         return model_view(real, self._renderer.render(world_from_camera, self._intrinsics))
 
 

@@ -1,0 +1,119 @@
+"""The camera image as the filter sees it: undistorted, in several sizes.
+
+What is fixed to the camera is not the scene: dirt on the lens, the robot's own bumper, tape over a
+part of the view. Those pixels keep their colours while everything else changes, and after a few
+frames they are left out of the comparison (NaN). A bare wall may keep its colours too; nothing is
+lost with it, since it tells no place from another.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from pipelines.artifacts.array_types import BoolArray, Float32Array, ImageArray
+from pipelines.geometry.camera import Camera, Intrinsics, Undistorter
+from pipelines.lightfield.views import area_average, query_intrinsics
+
+# An image whose grey levels differ by less than this (standard deviation) shows nothing: a covered
+# lens, a dark room, a burnt-out frame.
+SMALLEST_CONTRAST = 4.0
+# A pixel that stayed within so many grey levels over so many images is fixed to the camera, if the
+# usual pixel changed by more.
+FIXED_RANGE, FIXED_IMAGES, USUAL_RANGE = 3.0, 4, 12.0
+# More than this is not dirt: the robot stands still in front of something that flickers.
+LARGEST_FIXED_SHARE = 0.6
+# Less than this is not worth a search.
+SMALLEST_FIXED_SHARE = 0.05
+
+
+@dataclass(frozen=True)
+class Observation:
+    """A camera image ready for comparison.
+
+    Attributes:
+        image: ``(H, W, 3)`` RGB, undistorted and area-averaged; NaN where it does not show the
+            scene.
+        intrinsics: of that image.
+    """
+
+    image: Float32Array
+    intrinsics: Intrinsics
+
+
+@dataclass(frozen=True)
+class Observations:
+    """One camera image in several sizes.
+
+    Attributes:
+        by_width: width in pixels -> the image.
+        contrast: standard deviation of the grey levels in the coarsest.
+        uncovers: whether so much was left out for the first time that what was concluded from
+            earlier images may be wrong.
+    """
+
+    by_width: Mapping[int, Observation]
+    contrast: float
+    uncovers: bool = False
+
+    @property
+    def is_blind(self) -> bool:
+        """Whether the image shows nothing that could tell one place from another."""
+        return self.contrast < SMALLEST_CONTRAST
+
+
+class Observer:
+    """Prepares the images of one camera, one after the other.
+
+    Args:
+        camera: the robot's.
+        widths: of the images wanted, pixels; never more than the camera has.
+    """
+
+    def __init__(self, camera: Camera, widths: Sequence[int]) -> None:
+        self._undistorter = Undistorter(camera)
+        self._intrinsics = {
+            width: query_intrinsics(camera, self._undistorter, width) for width in set(widths)
+        }
+        self._lowest: Float32Array | None = None
+        self._highest: Float32Array | None = None
+        self._images = 0
+        self._fixed_share = 0.0
+
+    def __call__(self, image: ImageArray) -> Observations:
+        """The sizes of one image ``(height, width, 3)``, RGB as recorded."""
+        straight = self._undistorter(image)
+        sizes = {
+            width: area_average(straight, pinhole.width, pinhole.height).astype(np.float32)
+            for width, pinhole in self._intrinsics.items()
+        }
+        coarsest = sizes[min(sizes)]
+        contrast = float(np.std(coarsest.mean(axis=2)))
+        uncovers = False
+        if contrast >= SMALLEST_CONTRAST:
+            fixed = self._fixed(coarsest)
+            share = float(fixed.mean())
+            uncovers = share >= SMALLEST_FIXED_SHARE > self._fixed_share
+            self._fixed_share = max(self._fixed_share, share)
+            for small in sizes.values():
+                height, width = small.shape[:2]
+                small[cv2.resize(fixed.astype(np.float32), (width, height)) > 0.01] = np.nan
+        by_width = {
+            width: Observation(small, self._intrinsics[width]) for width, small in sizes.items()
+        }
+        return Observations(by_width, contrast, uncovers)
+
+    def _fixed(self, image: Float32Array) -> BoolArray:
+        """Pixels ``(H, W)`` that have kept their colours in all images so far."""
+        if self._lowest is None or self._highest is None:
+            self._lowest = self._highest = image
+        self._lowest = np.minimum(self._lowest, image)
+        self._highest = np.maximum(self._highest, image)
+        self._images += 1
+        ranges = (self._highest - self._lowest).max(axis=2)
+        fixed = np.asarray(ranges <= FIXED_RANGE, dtype=np.bool_)
+        is_moving = self._images >= FIXED_IMAGES and float(np.median(ranges)) >= USUAL_RANGE
+        if not is_moving or float(fixed.mean()) > LARGEST_FIXED_SHARE:
+            return np.zeros_like(fixed)
+        return fixed

@@ -1,0 +1,91 @@
+"""The prior p(x_t | H_t-1, m_t) of one frame as a density, not only as samples.
+
+The paper draws one sample of the motion model for each particle. A proposal that looks at the image
+(``proposal``) draws states from elsewhere, and their weights need the prior's density there
+(marginal particle filter, Klaas, de Freitas, Doucet 2005): a mixture of the motion model's normal
+distributions around the moved particles. A part of it, ``anywhere_share``, is uniform over the
+region: all of it when nobody knows where the robot is, a little when it may have been carried away
+(sensor resetting; Thrun, Burgard, Fox, *Probabilistic Robotics*, section 8.3.3).
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import logsumexp
+
+from pipelines.artifacts.array_types import FloatArray
+from pipelines.localize.belief import Region
+from pipelines.localize.resampling import resample
+from pipelines.localize.state_space import StateSpace
+
+# Noise below this would make the density a row of needles; metres and radians.
+SMALLEST_POSITION_SIGMA, SMALLEST_ANGLE_SIGMA = 1e-3, 1e-3
+# Pairs of states are worked on in blocks of so many, so that memory stays bounded.
+PAIRS_TOGETHER = 4_000_000
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Where the body may be before the image is looked at.
+
+    Attributes:
+        space: what a state is.
+        centres: ``(N, D)`` the particles of the last frame, moved by odometry without noise.
+        log_weights: ``(N,)`` normalised.
+        position_sigma: of the motion's noise along each axis, metres.
+        angle_sigma: of its angles, radians.
+        region: where the body may be if it was carried away.
+        anywhere_share: probability of that, 0 to 1.
+    """
+
+    space: StateSpace
+    centres: FloatArray
+    log_weights: FloatArray
+    position_sigma: float
+    angle_sigma: float
+    region: Region
+    anywhere_share: float
+
+    def sample(self, count: int, scheme: str, rng: np.random.Generator) -> FloatArray:
+        """Draws ``(count, D)`` states; the uniform part gets its share of them exactly."""
+        anywhere = round(self.anywhere_share * count)
+        uniform = self.space.uniform(self.region.low, self.region.high, anywhere, rng)
+        if anywhere == count:
+            return uniform
+        chosen = self.centres[resample(self.log_weights, count - anywhere, scheme, rng)]
+        spread = np.array(
+            [self.position_sigma] * self.space.positions + [self.angle_sigma] * self.space.angles
+        )
+        noise = spread * rng.standard_normal(chosen.shape)
+        return np.concatenate([self.space.moved(chosen, noise), uniform])
+
+    def log_density(self, states: FloatArray) -> FloatArray:
+        """Logarithm of the density at states ``(M, D)``, a metre^P and radian^A."""
+        with np.errstate(divide="ignore"):
+            inside = np.where(self.region.contains(states), 0.0, -np.inf)
+            anywhere = inside + math.log(self.anywhere_share or 1e-300)
+        anywhere = anywhere + self.region.log_density(self.space)
+        if self.anywhere_share >= 1.0:
+            return anywhere
+        block = max(1, PAIRS_TOGETHER // len(self.centres))
+        near = np.concatenate(
+            [
+                self._log_density_of_motion(states[start : start + block])
+                for start in range(0, len(states), block)
+            ]
+        )
+        combined = np.logaddexp(math.log1p(-self.anywhere_share) + near, anywhere)
+        return np.asarray(combined if self.anywhere_share > 0.0 else near, dtype=np.float64)
+
+    def _log_density_of_motion(self, states: FloatArray) -> FloatArray:
+        space, positions, angles = self.space, self.space.positions, self.space.angles
+        position_sigma = max(self.position_sigma, SMALLEST_POSITION_SIGMA)
+        angle_sigma = max(self.angle_sigma, SMALLEST_ANGLE_SIGMA)
+        own, others = states[:, None, :positions], self.centres[None, :, :positions]
+        distance = np.sum((own - others) ** 2, axis=2) / position_sigma**2
+        angle = (space.pair_angles(states, self.centres) / angle_sigma) ** 2
+        exponent = self.log_weights[None, :] - 0.5 * (distance + angle)
+        normal = positions * math.log(position_sigma) + angles * math.log(angle_sigma)
+        normal += 0.5 * space.dimension * math.log(2.0 * math.pi)
+        return np.asarray(logsumexp(exponent, axis=1) - normal, dtype=np.float64)

@@ -1,0 +1,242 @@
+"""Direct image alignment: a state moved until its rendered view fits the camera image best.
+
+Gauss-Newton on the photometric error, damped after Levenberg and Marquardt, from coarse images to
+fine ones (Baker and Matthews 2004, "Lucas-Kanade 20 years on"; the depth of each pixel comes from
+the light field as in direct visual odometry, Kerl, Sturm, Cremers 2013, "Robust odometry estimation
+for RGB-D cameras"). In every step the view is rendered anew at the present state, so that what is
+minimised is the true difference; only the derivative takes colours to stay with their surface
+points. Gain and offset of the camera image are estimated along, and pixels that show something else
+than the model are weighted down (Tukey's biweight).
+
+The covariance is the sandwich estimate H^-1 B H^-1 with B summed over tiles of the image (clustered
+errors, Liang and Zeger 1986): errors of neighbouring pixels are far from independent, and taking
+them as independent would claim a precision that is not there.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray
+from pipelines.geometry.camera import Intrinsics
+from pipelines.lightfield.comparison import LARGEST_GAIN
+from pipelines.lightfield.renderer import Renderer, RenderingWithSurface
+from pipelines.localize.alignment_kernels import (
+    fitted_brightness,
+    normal_equations,
+    robust_error,
+)
+from pipelines.localize.observation import Observation
+from pipelines.localize.state_space import StateSpace
+
+# Beyond so many standard deviations an error is taken for something else (95 % efficiency).
+TUKEY = 4.685
+# Grey levels: rounding and sensor noise leave at least this.
+SMALLEST_SCALE = 10.0
+# Fewer comparable pixels than this share of the image say nothing about the pose.
+SMALLEST_SHARE = 0.15
+LARGEST_STEP_METRES, LARGEST_STEP_RADIANS = 0.3, math.radians(8.0)
+# A step that moves the picture by less than this, in pixels, ends a level.
+STEP_PIXELS = 0.1
+TILES_ACROSS = 8
+FIRST_DAMPING, DAMPING_FACTOR, LARGEST_DAMPING = 1e-3, 8.0, 10.0
+
+
+@dataclass(frozen=True)
+class Refined:
+    """Where an alignment ended.
+
+    Attributes:
+        state: ``(D,)``.
+        covariance: ``(D, D)`` of its error, metres and radians.
+        curvature: ``(D, D)`` half the second derivative of the mean squared difference, grey levels
+            squared a metre and radian squared.
+        error: robust photometric error at the end, in squared grey levels; uncovered pixels count
+            as the worst.
+        converged: whether the last level ended by itself with enough comparable pixels.
+    """
+
+    state: FloatArray
+    covariance: FloatArray
+    curvature: FloatArray
+    error: float
+    converged: bool
+
+
+@dataclass(frozen=True)
+class _Look:
+    """The view rendered at a state, with the brightness that fits the camera image.
+
+    Attributes:
+        view: the rendering.
+        gain: factor on it.
+        offset: added to it, grey levels.
+        scale: standard deviation of the differences that remain, outliers apart, grey levels.
+    """
+
+    view: RenderingWithSurface
+    gain: float
+    offset: float
+    scale: float
+
+
+@dataclass(frozen=True)
+class _Level:
+    """One image size of an alignment, and what does not change on it."""
+
+    renderer: Renderer
+    space: StateSpace
+    body_from_camera: FloatArray
+    intrinsics: Intrinsics
+    target: Float32Array
+
+    def look(self, state: FloatArray) -> _Look | None:
+        """Renders and compares; None where too little of the scene is seen."""
+        pose = self.space.poses(state) @ self.body_from_camera
+        view = self.renderer.render_with_surface(pose, self.intrinsics)
+        if np.count_nonzero(view.covered) < SMALLEST_SHARE * view.covered.size:
+            return None
+        # Every few pixels tell the brightness as well as all of them.
+        stride = max(1, self.intrinsics.width // 40)
+        gain, offset, scale = fitted_brightness(
+            view.image, view.covered, self.target, stride, TUKEY, SMALLEST_SCALE, LARGEST_GAIN
+        )
+        return _Look(view, gain, offset, scale)
+
+    def error(self, look: _Look, scale: float) -> float:
+        """Robust error of a look, squared grey levels."""
+        view = look.view
+        return robust_error(
+            view.image, view.covered, self.target, look.gain, look.offset, TUKEY * scale
+        )
+
+    def normal_equations(
+        self, state: FloatArray, look: _Look
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Hessian ``(D, D)``, gradient ``(D,)`` and the tiles' gradients ``(T, D)``.
+
+        Gain and offset are eliminated, so that what they could explain does not move the state.
+        """
+        view, pinhole = look.view, self.intrinsics
+        body = self.space.poses(state)
+        camera = body @ self.body_from_camera
+        axes, turns = _unknowns(self.space)
+        count = len(axes) + 2
+        hessian, clusters = np.zeros((count, count)), np.zeros((TILES_ACROSS**2, count))
+        normal_equations(
+            view.image,
+            view.covered,
+            view.inverse_depth,
+            self.target,
+            look.gain,
+            look.offset,
+            TUKEY * look.scale,
+            pinhole.vector()[:4],
+            np.ascontiguousarray(camera[:3, :3]),
+            camera[:3, 3] - body[:3, 3],
+            axes,
+            turns,
+            TILES_ACROSS,
+            hessian,
+            clusters,
+        )
+        d = self.space.dimension
+        elimination = hessian[:d, d:] @ np.linalg.pinv(hessian[d:, d:])
+        reduced = hessian[:d, :d] - elimination @ hessian[d:, :d]
+        own = clusters[:, :d] - clusters[:, d:] @ elimination.T
+        return reduced, own.sum(axis=0), own
+
+
+def _unknowns(space: StateSpace) -> tuple[FloatArray, BoolArray]:
+    """World axis ``(D, 3)`` of each unknown, and ``(D,)`` whether it is a turn about it."""
+    axes = np.eye(3)
+    # The one angle of a robot on the floor is about the vertical.
+    turning = axes[3 - space.angles :]
+    turns = np.arange(space.dimension) >= space.positions
+    return np.concatenate([axes[: space.positions], turning]), turns
+
+
+def refine(
+    renderer: Renderer,
+    space: StateSpace,
+    state: FloatArray,
+    body_from_camera: FloatArray,
+    observations: Sequence[Observation],
+    iterations: int = 8,
+) -> Refined:
+    """Aligns a state with a camera image.
+
+    Args:
+        renderer: of the scene.
+        space: what a state is.
+        state: ``(D,)`` where to begin.
+        body_from_camera: ``(4, 4)`` the camera's mount.
+        observations: the camera image from coarse to fine.
+        iterations: at most, on each level.
+    """
+    result = _failed(space, np.array(state, dtype=np.float64))
+    for observation in observations:
+        target = observation.image
+        level = _Level(renderer, space, body_from_camera, observation.intrinsics, target)
+        result = _refine_level(level, result.state, iterations)
+        if not math.isfinite(result.error):
+            break
+    return result
+
+
+def _refine_level(level: _Level, state: FloatArray, iterations: int) -> Refined:
+    """``refine`` on one image size."""
+    look = level.look(state)
+    if look is None:
+        return _failed(level.space, state)
+    damping, converged = FIRST_DAMPING, False
+    hessian, gradient, clusters = level.normal_equations(state, look)
+    for _ in range(iterations):
+        step = _step(level.space, hessian, gradient, damping)
+        converged = _in_pixels(level, look, step) < STEP_PIXELS
+        if converged:
+            break
+        proposed = level.space.moved(state, step)
+        then = level.look(proposed)
+        if then is not None and level.error(then, look.scale) < level.error(look, look.scale):
+            state, look = proposed, then
+            hessian, gradient, clusters = level.normal_equations(state, look)
+            damping = max(damping / DAMPING_FACTOR, FIRST_DAMPING)
+        elif damping >= LARGEST_DAMPING:
+            converged = True
+            break
+        else:
+            damping *= DAMPING_FACTOR
+    inverse = np.linalg.pinv(hessian, hermitian=True)
+    covariance = inverse @ (clusters.T @ clusters) @ inverse
+    error = level.error(look, look.scale)
+    curvature = hessian / (3.0 * look.view.covered.size)
+    return Refined(state, 0.5 * (covariance + covariance.T), curvature, error, converged)
+
+
+def _failed(space: StateSpace, state: FloatArray) -> Refined:
+    unknown = np.full((space.dimension, space.dimension), np.inf)
+    return Refined(state, unknown, np.zeros_like(unknown), math.inf, False)
+
+
+def _step(
+    space: StateSpace, hessian: FloatArray, gradient: FloatArray, damping: float
+) -> FloatArray:
+    """The damped step ``(D,)``, no longer than the linearisation can be trusted."""
+    diagonal = np.diag(hessian)
+    # A direction in which the image does not change at all must not make the system singular.
+    damped = hessian + np.diag(damping * diagonal + 1e-9 * float(diagonal.max()) + 1e-12)
+    step = -np.linalg.solve(damped, gradient)
+    metres = float(np.linalg.norm(step[: space.positions])) / LARGEST_STEP_METRES
+    radians = float(np.linalg.norm(step[space.positions :])) / LARGEST_STEP_RADIANS
+    return np.asarray(step / max(1.0, metres, radians))
+
+
+def _in_pixels(level: _Level, look: _Look, step: FloatArray) -> float:
+    """About how far a step moves the picture, pixels."""
+    nearness = float(np.median(look.view.inverse_depth[look.view.covered]))
+    positions = level.space.positions
+    metres, radians = np.linalg.norm(step[:positions]), np.linalg.norm(step[positions:])
+    return float(level.intrinsics.fx * (metres * nearness + radians))

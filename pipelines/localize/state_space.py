@@ -1,0 +1,289 @@
+"""What a state is: a robot's place on a floor, or a pose with six degrees of freedom.
+
+Everything else in the filter is the same for both. A state is a vector of D numbers; differences
+between states are vectors of D numbers too, metres first and then radians, in a frame whose axes
+are the world's. So means, covariances, Gaussians and noise are written once:
+
+``planar``: x, y, heading; the robot stands on z = 0 and its camera sits on a mount.
+``spatial``: x, y, z and the rotation vector of world_from_body. A difference of rotations is the
+rotation vector, in world axes, of the turn that leads from one to the other (the tangent space of
+SO(3); Sola, Deray, Atchuthan 2018, "A micro Lie theory for state estimation in robotics").
+"""
+
+import math
+from typing import Protocol
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pipelines.artifacts.array_types import FloatArray, IntArray
+from pipelines.artifacts.errors import OptionError
+from pipelines.geometry.pose import (
+    inverse,
+    planar_state_of,
+    pose_from_rotation,
+    world_from_base_planar,
+    wrap_angle,
+)
+
+# A mean direction is meaningless where the directions cancel to less than this share.
+CANCELLED = 1e-9
+# A uniform angle has no standard deviation; this is that of the uniform distribution.
+LARGEST_ANGLE_SPREAD = math.pi / math.sqrt(3.0)
+
+
+class StateSpace(Protocol):
+    """The operations on states that the filter needs."""
+
+    @property
+    def name(self) -> str:
+        """``planar`` or ``spatial``."""
+
+    @property
+    def positions(self) -> int:
+        """How many of a state's numbers are metres; they come first."""
+
+    @property
+    def angles(self) -> int:
+        """How many are radians."""
+
+    @property
+    def dimension(self) -> int:
+        """How many there are."""
+
+    def poses(self, states: FloatArray) -> FloatArray:
+        """``world_from_body`` of states ``(..., D)``: ``(..., 4, 4)``."""
+
+    def states(self, poses: FloatArray) -> FloatArray:
+        """States ``(..., D)`` of ``world_from_body``, ``(..., 4, 4)``."""
+
+    def moved(self, states: FloatArray, offsets: FloatArray) -> FloatArray:
+        """States plus differences ``(..., D)``."""
+
+    def difference(self, states: FloatArray, centre: FloatArray) -> FloatArray:
+        """What leads from ``centre`` to ``states``, ``(..., D)``; angles by the shortest way."""
+
+    def composed(self, states: FloatArray, increments: FloatArray) -> FloatArray:
+        """States after motions ``(..., D)`` that are given in each state's own frame."""
+
+    def increment(self, before: FloatArray, after: FloatArray) -> FloatArray:
+        """The motion ``(D,)`` between two poses ``(4, 4)``, in the frame of the first."""
+
+    def mean(self, states: FloatArray, weights: FloatArray) -> FloatArray:
+        """Weighted mean ``(D,)``; where the headings cancel, the heaviest state's stands."""
+
+    def spread(self, states: FloatArray) -> FloatArray:
+        """Standard deviation ``(D,)`` of states ``(M, D)`` about their mean."""
+
+    def uniform(
+        self, low: FloatArray, high: FloatArray, count: int, rng: np.random.Generator
+    ) -> FloatArray:
+        """``(count, D)`` states with positions between two corners, in any orientation."""
+
+    def pair_angles(self, states: FloatArray, others: FloatArray) -> FloatArray:
+        """Angles ``(A, B)`` in [0, pi] between the orientations of states and others."""
+
+    def orientation_volume(self) -> float:
+        """The integral over all orientations, in the measure of differences."""
+
+
+class Planar:
+    """States ``(M, 3)``: x and y in metres, heading in radians, in (-pi, pi]."""
+
+    name = "planar"
+    positions = 2
+    angles = 1
+    dimension = 3
+
+    def poses(self, states: FloatArray) -> FloatArray:
+        """See ``StateSpace.poses``."""
+        return world_from_base_planar(states)
+
+    def states(self, poses: FloatArray) -> FloatArray:
+        """See ``StateSpace.states``."""
+        return planar_state_of(poses)
+
+    def moved(self, states: FloatArray, offsets: FloatArray) -> FloatArray:
+        """See ``StateSpace.moved``."""
+        moved = np.asarray(states + offsets, dtype=np.float64)
+        moved[..., 2] = wrap_angle(moved[..., 2])
+        return moved
+
+    def difference(self, states: FloatArray, centre: FloatArray) -> FloatArray:
+        """See ``StateSpace.difference``."""
+        offsets = np.asarray(states - centre, dtype=np.float64)
+        offsets[..., 2] = wrap_angle(offsets[..., 2])
+        return offsets
+
+    def composed(self, states: FloatArray, increments: FloatArray) -> FloatArray:
+        """See ``StateSpace.composed``."""
+        cosine, sine = np.cos(states[..., 2]), np.sin(states[..., 2])
+        moved = np.empty(np.broadcast_shapes(states.shape, increments.shape))
+        moved[..., 0] = states[..., 0] + cosine * increments[..., 0] - sine * increments[..., 1]
+        moved[..., 1] = states[..., 1] + sine * increments[..., 0] + cosine * increments[..., 1]
+        moved[..., 2] = wrap_angle(states[..., 2] + increments[..., 2])
+        return moved
+
+    def increment(self, before: FloatArray, after: FloatArray) -> FloatArray:
+        """See ``StateSpace.increment``."""
+        return planar_state_of(inverse(world_from_base_planar(planar_state_of(before))) @ after)
+
+    def mean(self, states: FloatArray, weights: FloatArray) -> FloatArray:
+        """See ``StateSpace.mean``."""
+        total = float(np.sum(weights))
+        x, y = weights @ states[:, :2] / total
+        sine = weights @ np.sin(states[:, 2]) / total
+        cosine = weights @ np.cos(states[:, 2]) / total
+        if np.hypot(sine, cosine) < CANCELLED:
+            heading = states[int(np.argmax(weights)), 2]
+        else:
+            heading = np.arctan2(sine, cosine)
+        return np.array([x, y, float(wrap_angle(heading))])
+
+    def spread(self, states: FloatArray) -> FloatArray:
+        """See ``StateSpace.spread``."""
+        resultant = float(np.hypot(np.cos(states[:, 2]).mean(), np.sin(states[:, 2]).mean()))
+        heading = math.sqrt(-2.0 * math.log(max(min(resultant, 1.0), 1e-12)))
+        return np.array(
+            [states[:, 0].std(), states[:, 1].std(), min(heading, LARGEST_ANGLE_SPREAD)]
+        )
+
+    def uniform(
+        self, low: FloatArray, high: FloatArray, count: int, rng: np.random.Generator
+    ) -> FloatArray:
+        """See ``StateSpace.uniform``."""
+        lowest, highest = np.append(low, -np.pi), np.append(high, np.pi)
+        states = np.asarray(lowest + (highest - lowest) * rng.random((count, 3)))
+        states[:, 2] = wrap_angle(states[:, 2])
+        return states
+
+    def pair_angles(self, states: FloatArray, others: FloatArray) -> FloatArray:
+        """See ``StateSpace.pair_angles``."""
+        return np.abs(wrap_angle(states[:, None, 2] - others[None, :, 2]))
+
+    def orientation_volume(self) -> float:
+        """See ``StateSpace.orientation_volume``."""
+        return 2.0 * math.pi
+
+
+class Spatial:
+    """States ``(M, 6)``: x, y, z in metres and the rotation vector of world_from_body, radians."""
+
+    name = "spatial"
+    positions = 3
+    angles = 3
+    dimension = 6
+
+    def poses(self, states: FloatArray) -> FloatArray:
+        """See ``StateSpace.poses``."""
+        rotation = Rotation.from_rotvec(states[..., 3:].reshape(-1, 3)).as_matrix()
+        return pose_from_rotation(rotation.reshape(*states.shape[:-1], 3, 3), states[..., :3])
+
+    def states(self, poses: FloatArray) -> FloatArray:
+        """See ``StateSpace.states``."""
+        rotation = Rotation.from_matrix(poses[..., :3, :3].reshape(-1, 3, 3)).as_rotvec()
+        vectors = rotation.reshape(*poses.shape[:-2], 3)
+        return np.concatenate([poses[..., :3, 3], vectors], axis=-1)
+
+    def moved(self, states: FloatArray, offsets: FloatArray) -> FloatArray:
+        """See ``StateSpace.moved``."""
+        states, offsets = np.broadcast_arrays(states, offsets)
+        turned = _rotations(offsets) * _rotations(states)
+        return _joined(states[..., :3] + offsets[..., :3], turned)
+
+    def difference(self, states: FloatArray, centre: FloatArray) -> FloatArray:
+        """See ``StateSpace.difference``."""
+        states, centre = np.broadcast_arrays(states, centre)
+        turn = _rotations(states) * _rotations(centre).inv()
+        return _joined(states[..., :3] - centre[..., :3], turn)
+
+    def composed(self, states: FloatArray, increments: FloatArray) -> FloatArray:
+        """See ``StateSpace.composed``."""
+        states, increments = np.broadcast_arrays(states, increments)
+        rotations = _rotations(states)
+        steps = rotations.apply(np.array(increments[..., :3]).reshape(-1, 3))
+        positions = states[..., :3] + steps.reshape(*states.shape[:-1], 3)
+        return _joined(positions, rotations * _rotations(increments))
+
+    def increment(self, before: FloatArray, after: FloatArray) -> FloatArray:
+        """See ``StateSpace.increment``."""
+        return self.states(inverse(before) @ after)
+
+    def mean(self, states: FloatArray, weights: FloatArray) -> FloatArray:
+        """See ``StateSpace.mean``."""
+        position = weights @ states[:, :3] / float(np.sum(weights))
+        rotation = Rotation.from_rotvec(states[:, 3:]).mean(weights=weights).as_rotvec()
+        return np.concatenate([position, rotation])
+
+    def spread(self, states: FloatArray) -> FloatArray:
+        """See ``StateSpace.spread``."""
+        offsets = self.difference(states, self.mean(states, np.ones(len(states))))
+        return np.asarray(
+            np.minimum(offsets.std(axis=0), [np.inf] * 3 + [LARGEST_ANGLE_SPREAD] * 3)
+        )
+
+    def uniform(
+        self, low: FloatArray, high: FloatArray, count: int, rng: np.random.Generator
+    ) -> FloatArray:
+        """See ``StateSpace.uniform``."""
+        # Four normal numbers point in all directions alike, so that no rotation is preferred.
+        rotation = Rotation.from_quat(rng.standard_normal((count, 4))).as_rotvec()
+        return np.concatenate([rng.uniform(low, high, (count, 3)), rotation], axis=1)
+
+    def pair_angles(self, states: FloatArray, others: FloatArray) -> FloatArray:
+        """See ``StateSpace.pair_angles``."""
+        first, second = _rotations(states).as_quat(), _rotations(others).as_quat()
+        return np.asarray(2.0 * np.arccos(np.minimum(np.abs(first @ second.T), 1.0)))
+
+    def orientation_volume(self) -> float:
+        """See ``StateSpace.orientation_volume``."""
+        return 8.0 * math.pi**2
+
+
+PLANAR: StateSpace = Planar()
+SPATIAL: StateSpace = Spatial()
+
+
+def state_space_named(name: str) -> StateSpace:
+    """The state space of a name.
+
+    Raises:
+        OptionError: unknown name.
+    """
+    for space in (PLANAR, SPATIAL):
+        if space.name == name:
+            return space
+    raise OptionError(f"state space {name!r} is none of {PLANAR.name}, {SPATIAL.name}")
+
+
+def state_space_of_dimension(dimension: int) -> StateSpace:
+    """The state space whose states have so many numbers.
+
+    Raises:
+        OptionError: neither 3 nor 6.
+    """
+    for space in (PLANAR, SPATIAL):
+        if space.dimension == dimension:
+            return space
+    raise OptionError(f"states have {dimension} numbers instead of 3 (planar) or 6 (spatial)")
+
+
+def cells_of(
+    space: StateSpace, states: FloatArray, position_size: float, angle_size: float
+) -> IntArray:
+    """Grid cells ``(M, D)`` in which states lie, for counting how far a belief is spread."""
+    sizes = np.array([position_size] * space.positions + [angle_size] * space.angles)
+    # Moved by nothing, so that full turns do not make cells.
+    canonical = space.moved(states, np.zeros(space.dimension))
+    return np.asarray(np.floor(canonical / sizes), dtype=np.int64)
+
+
+def _rotations(states: FloatArray) -> Rotation:
+    """The rotations of states ``(..., 6)``, in one row."""
+    # A copy: SciPy warns of the views that broadcasting makes.
+    return Rotation.from_rotvec(np.array(states[..., 3:]).reshape(-1, 3))
+
+
+def _joined(positions: FloatArray, rotations: Rotation) -> FloatArray:
+    vectors = rotations.as_rotvec().reshape(*positions.shape[:-1], 3)
+    return np.concatenate([positions, vectors], axis=-1)

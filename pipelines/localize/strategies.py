@@ -1,0 +1,163 @@
+"""How the belief is carried from one frame to the next: three ways to do the paper's equation (2).
+
+``condensation`` is the paper's filter, step by step: draw particles with probability proportional
+to their weights, move each by a sample of the motion model, weight it with the likelihood of the
+image; the number of particles is constant.
+
+``coarse_to_fine`` finds the robot from anywhere by numbers alone: many particles and small images
+at first, a likelihood that is kept from killing all but one of them, fewer particles as the belief
+narrows.
+
+``informed`` lets the image say where to look (``informed.py``), and is the default.
+"""
+
+import math
+from typing import Protocol
+
+import numpy as np
+
+from pipelines.artifacts.array_types import FloatArray
+from pipelines.localize.belief import (
+    Belief,
+    Region,
+    effective_sample_size,
+    equal_log_weights,
+    gaussian_belief,
+    normalise_log_weights,
+    uniform_belief,
+)
+from pipelines.localize.likelihood import Comparison, tempered
+from pipelines.localize.motion import checked_increment, predict
+from pipelines.localize.observation import Observations
+from pipelines.localize.population import next_count, roughened
+from pipelines.localize.resampling import resample
+from pipelines.localize.settings import LocalizerSettings
+from pipelines.localize.state_space import StateSpace
+
+
+class Strategy(Protocol):
+    """Carries a belief from frame to frame."""
+
+    def update(self, observations: Observations, increment: FloatArray | None) -> Belief:
+        """The belief after one image.
+
+        Args:
+            observations: the image.
+            increment: ``(D,)`` the motion since the image before, or None.
+        """
+
+    def learn(self, estimate: FloatArray) -> None:
+        """Tells it the best estimate ``(D,)`` of a frame in which one mode is followed."""
+
+
+def start_belief(
+    space: StateSpace,
+    region: Region,
+    settings: LocalizerSettings,
+    count: int,
+    rng: np.random.Generator,
+) -> Belief:
+    """The belief before the first image: around the start pose, or anywhere."""
+    if settings.start is None:
+        return uniform_belief(space, region, count, rng)
+    return gaussian_belief(
+        space,
+        settings.start,
+        settings.start_position_sigma,
+        settings.start_heading_sigma,
+        settings.particles,
+        rng,
+    )
+
+
+class Condensation:
+    """The paper's filter.
+
+    Args:
+        comparison: of states with images.
+        region: where the robot may be.
+        settings: of the filter.
+        rng: the only source of randomness.
+    """
+
+    def __init__(
+        self,
+        comparison: Comparison,
+        region: Region,
+        settings: LocalizerSettings,
+        rng: np.random.Generator,
+    ) -> None:
+        self._comparison = comparison
+        self._settings = settings
+        self._rng = rng
+        self._is_first = True
+        self._belief = start_belief(
+            comparison.space, region, settings, self._start_count(settings), rng
+        )
+
+    def _start_count(self, settings: LocalizerSettings) -> int:
+        return settings.particles
+
+    def update(self, observations: Observations, increment: FloatArray | None) -> Belief:
+        """See ``Strategy.update``."""
+        states, log_weights = self._belief.states, self._belief.log_weights
+        if not self._is_first:
+            states, log_weights = self._drawn(checked_increment(self._comparison.space, increment))
+        self._is_first = False
+        self._belief = self._weighted(states, log_weights, observations)
+        return self._belief
+
+    def learn(self, estimate: FloatArray) -> None:
+        """The paper's filter learns nothing but its belief."""
+
+    def _drawn(self, increment: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+        """Resampled and moved states, and their log-weights."""
+        settings, count = self._settings, len(self._belief)
+        chosen = resample(self._belief.log_weights, count, settings.resampling, self._rng)
+        moved = predict(
+            self._comparison.space,
+            self._belief.states[chosen],
+            increment,
+            settings.motion,
+            self._rng,
+        )
+        return moved, equal_log_weights(count)
+
+    def _weighted(
+        self, states: FloatArray, log_weights: FloatArray, observations: Observations
+    ) -> Belief:
+        if observations.is_blind:
+            return Belief(states, log_weights)
+        observation = observations.by_width[self._settings.fine_width]
+        log_likelihoods = self._comparison.log_likelihoods(states, observation)
+        return Belief(states, normalise_log_weights(log_weights + log_likelihoods)[0])
+
+
+class CoarseToFine(Condensation):
+    """Many particles and small images first, few and larger ones later."""
+
+    def _start_count(self, settings: LocalizerSettings) -> int:
+        return settings.search_particles
+
+    def _drawn(self, increment: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+        settings, belief, space = self._settings, self._belief, self._comparison.space
+        count = next_count(belief, settings.particles, settings.shrink_factor)
+        states, log_weights = belief.states, belief.log_weights
+        enough = settings.resampling_threshold * len(belief)
+        if count != len(belief) or effective_sample_size(log_weights) <= enough:
+            states = states[resample(log_weights, count, settings.resampling, self._rng)]
+            log_weights = np.full(count, -math.log(count))
+        moved = predict(space, states, increment, settings.motion, self._rng)
+        return roughened(space, moved, settings.roughening, self._rng), log_weights
+
+    def _weighted(
+        self, states: FloatArray, log_weights: FloatArray, observations: Observations
+    ) -> Belief:
+        if observations.is_blind:
+            return Belief(states, log_weights)
+        settings = self._settings
+        is_coarse = len(states) > 4 * settings.particles
+        width = settings.coarse_width if is_coarse else settings.fine_width
+        log_likelihoods = self._comparison.log_likelihoods(states, observations.by_width[width])
+        share = settings.smallest_effective_share
+        return Belief(states, tempered(log_weights, log_likelihoods, share)[0])

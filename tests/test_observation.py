@@ -1,0 +1,88 @@
+"""Camera images as the filter sees them: averaged, blind, without what is fixed to the camera."""
+
+import numpy as np
+import pytest
+
+from pipelines.artifacts.array_types import ImageArray
+from pipelines.localize.observation import Observer
+from tests.report_samples import CAMERA, facing_wall, photo
+
+TRUTH = facing_wall(-0.4, 1.7, 0.15)
+
+
+def test_observing_averages_the_image_and_scales_its_camera() -> None:
+    image = photo(TRUTH)
+    observation = Observer(CAMERA, [24])(image).by_width[24]
+    means = image.reshape(18, 2, 24, 2, 3).astype(np.float64).mean(axis=(1, 3))
+    assert np.abs(observation.image - means).max() <= 0.5 + 1e-9
+    # Pixel centres at integers: the middle of the image stays the middle.
+    assert observation.intrinsics.cx == pytest.approx(11.5)
+    assert observation.intrinsics.cy == pytest.approx(8.5)
+    assert observation.intrinsics.fx == pytest.approx(12.0)
+
+
+def test_an_image_that_shows_nothing_is_blind_and_any_other_is_not() -> None:
+    observer = Observer(CAMERA, [12, 24])
+    generator = np.random.default_rng(0)
+    for level in (0, 120, 255):
+        noise = generator.normal(0.0, 3.0, (CAMERA.height, CAMERA.width, 3))
+        covered = np.clip(level + noise, 0.0, 255.0).astype(np.uint8)
+        assert observer(covered).is_blind
+    seen = observer(photo(TRUTH))
+    assert not seen.is_blind
+    assert set(seen.by_width) == {12, 24}
+    assert seen.contrast == pytest.approx(seen.by_width[12].image.mean(axis=2).std(), rel=1e-6)
+
+
+# --- what is fixed to the camera ---------------------------------------------------------------
+
+# Tape over the left third of the lens's lower half.
+TAPE = (slice(18, 36), slice(0, 16))
+WAY = [facing_wall(-1.0 + 0.3 * i, 1.5, 0.1 * i - 0.3) for i in range(7)]
+
+
+def taped(image: ImageArray) -> ImageArray:
+    hidden = image.copy()
+    hidden[TAPE] = (120, 110, 90)
+    return hidden
+
+
+def test_tape_on_the_lens_is_left_out_after_a_few_images() -> None:
+    observer = Observer(CAMERA, [12, 24])
+    seen = [observer(taped(photo(state))) for state in WAY]
+    assert not np.isnan(seen[0].by_width[24].image).any()
+    hidden = np.isnan(seen[-1].by_width[24].image[..., 0])
+    # All of the tape, half a pixel of its border, and nothing else.
+    assert hidden[10:, :7].all()
+    assert not hidden[:8].any()
+    assert not hidden[:, 10:].any()
+    # Said once, when it is found out.
+    assert [observations.uncovers for observations in seen].count(True) == 1
+    found = [bool(np.isnan(observations.by_width[12].image).any()) for observations in seen]
+    assert found == sorted(found)
+    assert found.index(True) == [observations.uncovers for observations in seen].index(True)
+
+
+def test_without_tape_nothing_is_left_out() -> None:
+    observer = Observer(CAMERA, [12, 24])
+    for state in WAY:
+        observations = observer(photo(state))
+        assert not observations.uncovers
+        assert not np.isnan(observations.by_width[24].image).any()
+
+
+def test_a_robot_that_stands_still_keeps_all_its_pixels() -> None:
+    observer = Observer(CAMERA, [24])
+    for _ in range(8):
+        observations = observer(taped(photo(TRUTH)))
+        assert not np.isnan(observations.by_width[24].image).any()
+
+
+def test_black_images_in_between_do_not_count() -> None:
+    plain, interrupted = Observer(CAMERA, [24]), Observer(CAMERA, [24])
+    black = np.zeros((CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
+    for state in WAY:
+        expected = plain(taped(photo(state))).by_width[24].image
+        assert interrupted(black).is_blind
+        found = interrupted(taped(photo(state))).by_width[24].image
+        np.testing.assert_array_equal(found, expected)

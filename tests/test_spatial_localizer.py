@@ -1,0 +1,134 @@
+"""Six degrees of freedom: a camera held in the hand before the painted wall."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipelines.artifacts.array_types import FloatArray
+from pipelines.geometry.pose import inverse, world_from_base_planar
+from pipelines.localize.localizer import Localizer
+from pipelines.localize.run import FrameRecord
+from pipelines.localize.state_space import SPATIAL
+from tests.drive_samples import BLACK, SCENE, TRUTH, content, informed_settings
+from tests.report_samples import CAMERA, MOUNT, photo_from
+
+
+def held_in_a_hand() -> FloatArray:
+    """``(8, 4, 4)`` world_from_camera along the robot's way, but with all the wobble of a hand."""
+    level = SPATIAL.states(world_from_base_planar(TRUTH) @ MOUNT)
+    t = np.arange(len(TRUTH))
+    wobble = np.stack(
+        [
+            0.03 * np.sin(2.0 * t),
+            0.02 * np.sin(t),
+            0.05 * np.cos(1.3 * t),
+            0.06 * np.sin(1.1 * t),
+            0.05 * np.cos(0.7 * t),
+            0.04 * np.sin(2.0 * t),
+        ],
+        axis=1,
+    )
+    return SPATIAL.poses(SPATIAL.moved(level, wobble))
+
+
+POSES = held_in_a_hand()
+STATES = SPATIAL.states(POSES)
+IMAGES = [photo_from(pose) for pose in POSES]
+NEAR = {
+    "start": tuple(float(value) for value in STATES[0] + [0.05, -0.05, 0.05, 0.03, 0.0, -0.03]),
+    "start_position_sigma": 0.1,
+    "start_heading_sigma": 0.07,
+}
+
+
+def follow(seed: int, *, has_odometry: bool, **changes: Any) -> list[FrameRecord]:
+    chosen = informed_settings(degrees_of_freedom=6, **changes)
+    camera = Localizer(SCENE, CAMERA, np.eye(4), chosen, np.random.default_rng(seed))
+    records = []
+    for number, image in enumerate(IMAGES):
+        motion = None
+        if has_odometry and number > 0:
+            motion = SPATIAL.states(inverse(POSES[number - 1]) @ POSES[number])
+        records.append(camera.step(image, motion, float(number)))
+    return records
+
+
+def errors(record: FrameRecord, number: int, estimate: str) -> tuple[float, float]:
+    """Metres and radians from the true pose."""
+    difference = inverse(POSES[number]) @ SPATIAL.poses(record.estimates[estimate])
+    cosine = (np.trace(difference[:3, :3]) - 1.0) / 2.0
+    return float(np.linalg.norm(difference[:3, 3])), float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+@pytest.mark.parametrize("has_odometry", [True, False], ids=["visual odometry", "random walk"])
+@pytest.mark.parametrize("seed", range(2))
+def test_a_camera_in_the_hand_is_followed(seed: int, has_odometry: bool) -> None:
+    records = follow(seed, has_odometry=has_odometry, **NEAR)
+    assert {record.status for record in records} == {"tracking"}
+    for number, record in enumerate(records):
+        metres, radians = errors(record, number, "refined")
+        # A hundredth of the distance to the wall.
+        assert metres < 0.02
+        assert radians < np.radians(0.5)
+        metres, radians = errors(record, number, "mode")
+        assert metres < 0.35
+        assert radians < np.radians(12.0)
+        assert record.particles.shape[1] == 6
+        assert record.modes.shape[1] == 7
+        assert record.covariance.shape == (6, 6)
+
+
+def test_a_camera_is_found_around_the_recorded_views() -> None:
+    records = follow(1, has_odometry=True)
+    assert records[-1].status == "tracking"
+    metres, radians = errors(records[-1], len(POSES) - 1, "refined")
+    assert metres < 0.02
+    assert radians < np.radians(0.5)
+
+
+@pytest.mark.parametrize("strategy", ["condensation", "coarse_to_fine"])
+def test_the_other_strategies_do_six_degrees_of_freedom_too(strategy: str) -> None:
+    records = follow(
+        0, has_odometry=True, strategy=strategy, particles=400, estimate="mean", **NEAR
+    )
+    assert {record.status for record in records} == {"tracking"}
+    for number, record in enumerate(records):
+        metres, radians = errors(record, number, "mean")
+        assert metres < 0.25
+        assert radians < np.radians(9.0)
+
+
+def test_a_covered_lens_is_blind_with_six_degrees_of_freedom_too() -> None:
+    chosen = informed_settings(degrees_of_freedom=6, **NEAR)
+    camera = Localizer(SCENE, CAMERA, np.eye(4), chosen, np.random.default_rng(0))
+    camera.step(IMAGES[0])
+    spreads = []
+    for _ in range(3):
+        record = camera.step(BLACK)
+        assert (record.status, record.confidence) == ("blind", 0.0)
+        spreads.append(float(np.trace(record.covariance)))
+    # A random walk spreads and spreads.
+    assert spreads == sorted(spreads)
+
+
+def test_the_seed_determines_everything_in_six_dimensions() -> None:
+    runs = [
+        [content(record) for record in follow(5, has_odometry=True, threads=threads, **NEAR)]
+        for threads in (1, 2)
+    ]
+    assert runs[0] == runs[1]
+
+
+def test_the_mount_stands_between_body_and_camera() -> None:
+    # A drone: its camera sits on a mount, and the state is the drone's.
+    chosen = informed_settings(
+        degrees_of_freedom=6,
+        start=tuple(map(float, SPATIAL.states(POSES[0] @ inverse(MOUNT)))),
+        start_position_sigma=0.05,
+        start_heading_sigma=0.05,
+    )
+    drone = Localizer(SCENE, CAMERA, MOUNT, chosen, np.random.default_rng(0))
+    record = drone.step(IMAGES[0])
+    camera = SPATIAL.poses(record.estimates["refined"]) @ MOUNT
+    assert np.linalg.norm(camera[:3, 3] - POSES[0][:3, 3]) < 0.02
