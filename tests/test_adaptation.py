@@ -155,3 +155,13 @@ def test_a_drop_that_lasts_becomes_the_usual_after_some_frames() -> None:
 
 def test_images_without_any_match_do_not_divide_by_zero() -> None:
     assert fitted([0.0] * 5).reset_share(0.0) == 0.0
+
+
+def test_a_jump_to_another_place_teaches_nothing_about_the_wheels() -> None:
+    motion = np.array([0.0, 0.0, 0.5])
+    calibration = uncalibrated(3)
+    for _ in range(5):
+        calibration = calibration.learned(motion, np.array([0.0, 0.0, 0.05]), 1.0)
+    jumped = calibration.learned(motion, np.array([2.0, 1.0, 0.3]), 900.0)
+    np.testing.assert_array_equal(jumped.correction, calibration.correction)
+    assert jumped.noise_scale > calibration.noise_scale

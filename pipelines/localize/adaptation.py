@@ -22,6 +22,8 @@ FORGETTING = 0.95
 # (metres or radians): the ridge of the least squares.
 EXPECTED_ERROR, MEASUREMENT_SIGMA = 0.15, 0.03
 NOISE_RATE = 0.2
+# A surprise beyond this is no error of odometry: the estimate has jumped to another place.
+LARGEST_SURPRISE = 25.0
 SMALLEST_NOISE_SCALE, LARGEST_NOISE_SCALE = 0.5, 3.0
 SLOW_RATE, FAST_RATE = 0.1, 0.6
 # The fast average has to fall below this share of the slow one.
@@ -66,6 +68,8 @@ class OdometryCalibration:
         """
         wanted = np.clip(surprise, SMALLEST_NOISE_SCALE**2, LARGEST_NOISE_SCALE**2)
         variance = self.noise_scale**2 + NOISE_RATE * (wanted - self.noise_scale**2)
+        if surprise > LARGEST_SURPRISE:
+            return replace(self, noise_scale=float(np.sqrt(variance)))
         return OdometryCalibration(
             FORGETTING * self.information + np.outer(increment, increment),
             FORGETTING * self.moments + np.outer(increment, error),
