@@ -17,6 +17,7 @@ COMMANDS = {
     "model": "A light-field scene model from a reconstruction.",
     "render": "Virtual views of a scene model.",
     "localize": "Where was the robot? A particle filter over a data set.",
+    "dock": "Drives a robot to a place by what its camera sees.",
     "evaluate": "Errors of a run against ground truth.",
     "report": "A page with figures that shows how a run went.",
     "export": "A run as TUM, KITTI, EuRoC, CSV or JSON; a scene model as a COLMAP project.",

@@ -1,0 +1,316 @@
+"""``lfnav dock``: drives a robot to a place by what its camera sees."""
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from lfnav_cli.common import (
+    common_options,
+    json_option,
+    overwrite_option,
+    parse_numbers,
+    print_summary,
+)
+
+if TYPE_CHECKING:
+    from pipelines.artifacts.progress import Progress
+    from pipelines.dock.dock import Report
+    from pipelines.dock.robots.choice import RobotOptions
+
+parse_pose = parse_numbers(3, "X,Y,DEG")
+
+
+def parse_state(
+    context: click.Context, parameter: click.Parameter, value: str | None
+) -> tuple[float, float, float] | None:
+    """A click callback: X,Y,DEG as metres and radians."""
+    numbers = parse_pose(context, parameter, value)
+    if numbers is None:
+        return None
+    x, y, degrees = numbers
+    return x, y, math.radians(degrees)
+
+
+def parse_fault(
+    context: click.Context, parameter: click.Parameter, value: str | None
+) -> tuple[str, int] | None:
+    """A click callback: KIND:STEP."""
+    if value is None:
+        return None
+    kind, _, step = value.partition(":")
+    if not step.isdecimal():
+        raise click.BadParameter(f"{value!r} is not of the form KIND:STEP, like blocked:8")
+    return kind, int(step)
+
+
+@click.command("dock")
+@click.argument("scene", metavar="SCENE.h5", type=click.Path(path_type=Path))
+@click.option(
+    "--robot",
+    required=True,
+    metavar="NAME",
+    help="model:SCENE.h5, sim:SCENE.xml, replay:DATASET, or your own as package.module:Class.",
+)
+@click.option(
+    "--goal", metavar="X,Y,DEG", callback=parse_state, help="Where to dock: metres, degrees."
+)
+@click.option("--goal-view", type=int, metavar="INDEX", help="Where this photo of SCENE was taken.")
+@click.option(
+    "--goal-image",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="From where the robot's camera sees this image.",
+)
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), help="Run file to write; not for --dry-run."
+)
+@click.option(
+    "--drive",
+    type=click.Choice(["omni", "diff"]),
+    default="omni",
+    show_default=True,
+    help="omni: any direction at any time. diff: turns on the spot and arcs.",
+)
+@click.option(
+    "--start",
+    metavar="X,Y,DEG",
+    callback=parse_state,
+    help="Roughly where the robot stands. Default: anywhere in the area.",
+)
+@click.option(
+    "--area",
+    metavar="XMIN,XMAX,YMIN,YMAX",
+    callback=parse_numbers(4, "XMIN,XMAX,YMIN,YMAX"),
+    help="The robot must not leave it, metres. Default: the area that the model covers.",
+)
+@click.option("--largest-step", type=float, default=0.4, show_default=True, help="Metres.")
+@click.option("--largest-turn", type=float, default=40.0, show_default=True, help="Degrees.")
+@click.option(
+    "--least-distance",
+    type=float,
+    default=0.5,
+    show_default=True,
+    help="Metres of the robot's middle from the scene's surface.",
+)
+@click.option(
+    "--staging-distance",
+    type=float,
+    default=0.8,
+    show_default=True,
+    help="The last approach begins so many metres straight behind the goal.",
+)
+@click.option("--max-steps", type=int, default=120, show_default=True, help="Then it gives up.")
+@click.option("--max-seconds", type=float, default=1800.0, show_default=True, help="Likewise.")
+@click.option(
+    "--position-tolerance",
+    type=float,
+    default=0.01,
+    show_default=True,
+    help="Metres from the goal, by the estimate, at which it is docked.",
+)
+@click.option(
+    "--heading-tolerance", type=float, default=0.4, show_default=True, help="Degrees likewise."
+)
+@click.option("--threads", type=int, help="Of the filter. Default: all processors.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Random seed.")
+@click.option(
+    "--dry-run", is_flag=True, help="Only look whether the robot is in order; nothing moves."
+)
+@click.option(
+    "--true-start",
+    metavar="X,Y,DEG",
+    callback=parse_state,
+    help="Simulated robots: where it really stands. Default: anywhere, by the seed.",
+)
+@click.option(
+    "--camera",
+    type=click.Path(path_type=Path),
+    metavar="camera.toml",
+    help="Simulated robots: its camera and mount. Default: the scene's, --camera-width pixels.",
+)
+@click.option("--camera-width", type=int, default=160, show_default=True, help="Likewise.")
+@click.option(
+    "--motion-noise",
+    metavar="SHARE,DEG",
+    default="0.02,0.5",
+    show_default=True,
+    callback=parse_numbers(2, "SHARE,DEG"),
+    help="Simulated robots: random errors of odometry, of distance and of a step's turn.",
+)
+@click.option(
+    "--motion-bias",
+    metavar="SHARE,DEG",
+    default="0,0",
+    show_default=True,
+    callback=parse_numbers(2, "SHARE,DEG"),
+    help="Simulated robots: systematic errors of odometry, of distance and of turn a metre.",
+)
+@click.option(
+    "--actuation-noise",
+    type=float,
+    default=0.02,
+    show_default=True,
+    help="Simulated robots: random error of a movement, as a share of it.",
+)
+@click.option(
+    "--slip",
+    type=float,
+    default=0.0,
+    show_default=True,
+    help="Simulated robots: probability that the wheels turn half in vain in a step.",
+)
+@click.option(
+    "--sensor-noise",
+    metavar="LEVELS,GAIN",
+    default="2,0.05",
+    show_default=True,
+    callback=parse_numbers(2, "LEVELS,GAIN"),
+    help="Simulated robots: noise of each pixel in grey levels, share by which brightness wanders.",
+)
+@click.option(
+    "--samples", type=int, default=8, show_default=True, help="sim: paths traced for each pixel."
+)
+@click.option(
+    "--fault",
+    metavar="KIND:STEP",
+    callback=parse_fault,
+    help="Simulated robots: blocked, slipping, black or driver from this step on.",
+)
+@overwrite_option
+@json_option
+@common_options
+def command(
+    scene: Path,
+    robot: str,
+    goal: tuple[float, float, float] | None,
+    goal_view: int | None,
+    goal_image: Path | None,
+    output: Path | None,
+    drive: str,
+    start: tuple[float, float, float] | None,
+    area: tuple[float, float, float, float] | None,
+    largest_step: float,
+    largest_turn: float,
+    least_distance: float,
+    staging_distance: float,
+    max_steps: int,
+    max_seconds: float,
+    position_tolerance: float,
+    heading_tolerance: float,
+    threads: int | None,
+    seed: int,
+    dry_run: bool,
+    true_start: tuple[float, float, float] | None,
+    camera: Path | None,
+    camera_width: int,
+    motion_noise: tuple[float, float],
+    motion_bias: tuple[float, float],
+    actuation_noise: float,
+    slip: float,
+    sensor_noise: tuple[float, float],
+    samples: int,
+    fault: tuple[str, int] | None,
+    overwrite: bool,
+    as_json: bool,
+    progress: "Progress",
+) -> int:
+    """Drives a robot to a goal in SCENE.h5 by what its camera sees, and writes the run.
+
+    The robot looks round until it knows where it is, goes to a staging pose behind the goal, and
+    approaches in smaller and smaller steps. Exit codes: 0 docked, 10 lost, 11 blocked, 12 out of
+    the allowed area, 13 timed out, 14 robot failed, 130 interrupted; the robot is stopped and the
+    run is saved in every case.
+
+    \b
+    Example:
+      lfnav dock scene.h5 --robot my_robot:Robot --dry-run
+      lfnav dock scene.h5 --robot my_robot:Robot --goal -1.15,-1.65,90 -o dock.h5
+      lfnav dock scene.h5 --robot sim:sample_data/elevators/scene/scene.xml --goal-view 3 -o dock.h5
+    """
+    from pipelines.dock.robots.actuation import MotionNoise
+    from pipelines.dock.robots.choice import RobotOptions
+    from pipelines.dock.robots.sensor import SensorNoise
+    from pipelines.dock.robots.simulator import PathTracing
+
+    options = RobotOptions(
+        true_start=true_start,
+        camera=camera,
+        camera_width=camera_width,
+        motion=MotionNoise(
+            actuation=actuation_noise,
+            odometry=motion_noise[0],
+            odometry_turn=math.radians(motion_noise[1]),
+            scale=motion_bias[0],
+            drift=math.radians(motion_bias[1]),
+            slip=slip,
+        ),
+        sensor=SensorNoise(*sensor_noise),
+        tracing=PathTracing(samples),
+        fault=fault,
+    )
+    if dry_run:
+        return _dry_run(scene, robot, options, seed, as_json)
+    if output is None:
+        raise click.UsageError("give the run file with -o, or --dry-run")
+
+    from pipelines.dock.settings import DockSettings
+    from pipelines.dock.stage import Goal, dock_robot
+    from pipelines.localize.settings import LocalizerSettings
+
+    settings = DockSettings(
+        drive=drive,
+        start=start,
+        area=area,
+        largest_step=largest_step,
+        largest_turn=math.radians(largest_turn),
+        least_distance=least_distance,
+        staging_distance=staging_distance,
+        max_steps=max_steps,
+        max_seconds=max_seconds,
+        position_tolerance=position_tolerance,
+        heading_tolerance=math.radians(heading_tolerance),
+    )
+    summary = dock_robot(
+        scene,
+        robot,
+        Goal(goal, goal_view, goal_image),
+        output,
+        settings,
+        LocalizerSettings(threads=threads),
+        options,
+        seed=seed,
+        overwrite=overwrite,
+        listener=_silent if _is_quiet() else _print_step,
+    )
+    print_summary(summary, as_json)
+    return summary.exit_code
+
+
+def _dry_run(scene: Path, robot: str, options: "RobotOptions", seed: int, as_json: bool) -> int:
+    from pipelines.dock.stage import dry_run
+
+    summary = dry_run(scene, robot, options, seed)
+    print_summary(summary, as_json)
+    return summary.exit_code
+
+
+def _is_quiet() -> bool:
+    return bool(click.get_current_context().meta.get("lfnav.quiet", False))
+
+
+def _silent(report: "Report") -> None:
+    """Says nothing of a step."""
+
+
+def _print_step(report: "Report") -> None:
+    """A line for each step, on stderr."""
+    place = "place unknown"
+    if report.estimate is not None:
+        x, y, heading = report.estimate
+        place = f"x {x:6.2f}  y {y:6.2f}  {math.degrees(heading):6.1f} deg  +-{report.sigma:.2f} m"
+    distance = "" if report.distance is None else f"  {report.distance:.2f} m to the goal"
+    click.echo(
+        f"{report.step:4d}  {report.state:9s}  {report.status:8s}  {place}{distance}", err=True
+    )

@@ -1,0 +1,1 @@
+"""Docking: localize, move a little towards the goal, look again, until the robot stands there."""

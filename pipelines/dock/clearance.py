@@ -1,0 +1,121 @@
+"""How far the scene's surface is from a place on the floor.
+
+Where the scene has depth maps, the surface is the points that they show between the floor and the
+top of the robot; where it has a plane alone, the plane, if that is a wall.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from pipelines.artifacts.array_types import FloatArray
+from pipelines.geometry.camera import Undistorter
+from pipelines.geometry.plane import Plane
+from pipelines.lightfield.scene import Scene
+
+# A plane whose normal rises less than this is a wall.
+LARGEST_TILT = 0.3
+# Points of the surface lower than this are floor; higher than the top, the robot passes below.
+FLOOR, TOP_ABOVE_CAMERA = 0.12, 0.2
+# Depth maps are read at every so many pixels, and their points gathered in cells of this size.
+PIXEL_STRIDE, CELL = 4, 0.05
+# A cell with fewer points than this is an error of a depth map.
+LEAST_POINTS = 3
+# A place that lies this much farther than the surface, as seen by a view, is inside of it, metres.
+HIDDEN_BY = 0.1
+
+
+@dataclass(frozen=True)
+class _SurfacePoints:
+    """Where the surface stands on the floor, ``(M, 2)`` metres, ready for search."""
+
+    tree: cKDTree
+
+
+class Clearance:
+    """Distances from the surface of a scene.
+
+    Args:
+        scene: the light field.
+        camera_height: of the robot's camera, metres.
+    """
+
+    def __init__(self, scene: Scene, camera_height: float) -> None:
+        self._plane = scene.plane
+        self._scene = scene
+        self._height = camera_height
+        points = _surface_points(scene, camera_height + TOP_ABOVE_CAMERA)
+        self._points = None if points is None else _SurfacePoints(cKDTree(points))
+
+    @property
+    def _is_wall(self) -> bool:
+        return abs(float(self._plane.normal[2])) < LARGEST_TILT
+
+    def distance(self, state: FloatArray) -> float:
+        """Metres from the place of a state ``(3,)`` to the surface; negative behind a plane."""
+        if self._points is not None:
+            return float(self._points.tree.query(state[:2])[0])
+        if not self._is_wall:
+            return float("inf")
+        return _wall_distance(self._plane, state, self._height)
+
+    def is_inside(self, state: FloatArray) -> bool:
+        """Whether the robot's camera at a state ``(3,)`` would be inside the surface."""
+        if self._points is None:
+            return self.distance(state) <= 0.0
+        place = np.array([state[0], state[1], self._height, 1.0])
+        seen, hidden = 0, 0
+        for index, depth in enumerate(self._scene.depth):
+            pinhole = Undistorter(self._scene.camera_of(index)).intrinsics
+            x, y, z, _ = np.linalg.inv(self._scene.world_from_camera[index]) @ place
+            height, width = depth.inverse_depth.shape
+            small = pinhole.resized(width, height)
+            if z <= 0.0:
+                continue
+            column, row = round(small.fx * x / z + small.cx), round(small.fy * y / z + small.cy)
+            if 0 <= column < width and 0 <= row < height:
+                inverse = float(depth.inverse_depth[row, column])
+                seen += inverse > 0.0
+                hidden += inverse > 0.0 and z > 1.0 / inverse + HIDDEN_BY
+        return seen > 0 and hidden == seen
+
+
+def _wall_distance(plane: Plane, state: FloatArray, camera_height: float) -> float:
+    # Where the wall leans, what counts is where it is nearest.
+    places = np.array([[state[0], state[1], z] for z in (0.0, camera_height)])
+    return float(plane.signed_distance(places).min())
+
+
+def _surface_points(scene: Scene, top: float) -> FloatArray | None:
+    """Where the surface stands on the floor, ``(M, 2)``; None where no depth map shows any."""
+    if not scene.depth:
+        return None
+    points = [_points_of_view(scene, index, top) for index in range(len(scene))]
+    cells = np.floor(np.concatenate(points) / CELL).astype(np.int64)
+    occupied, counts = np.unique(cells, axis=0, return_counts=True)
+    kept = occupied[counts >= LEAST_POINTS]
+    return None if len(kept) == 0 else np.asarray((kept + 0.5) * CELL, dtype=np.float64)
+
+
+def _points_of_view(scene: Scene, index: int, top: float) -> FloatArray:
+    """Where the surface that one view shows stands on the floor, ``(M, 2)``."""
+    depth = scene.depth[index]
+    height, width = depth.inverse_depth.shape
+    pinhole = Undistorter(scene.camera_of(index)).intrinsics.resized(width, height)
+    rows, columns = np.mgrid[0:height:PIXEL_STRIDE, 0:width:PIXEL_STRIDE]
+    inverse = depth.inverse_depth[rows, columns].astype(np.float64)
+    known = depth.confident[rows, columns] & (inverse > 0.0)
+    z = 1.0 / inverse[known]
+    camera = np.stack(
+        [
+            (columns[known] - pinhole.cx) / pinhole.fx * z,
+            (rows[known] - pinhole.cy) / pinhole.fy * z,
+            z,
+        ],
+        axis=1,
+    )
+    pose = scene.world_from_camera[index]
+    world = camera @ pose[:3, :3].T + pose[:3, 3]
+    standing = (world[:, 2] > FLOOR) & (world[:, 2] < top)
+    return np.asarray(world[standing, :2])

@@ -1,0 +1,246 @@
+"""The loop of a docking: take an image, localize, decide, move, until there is an outcome.
+
+Whatever happens, the robot is stopped first, and what was recorded so far is handed back.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipelines.artifacts.array_types import FloatArray, ImageArray
+from pipelines.artifacts.errors import LfnavError, OptionError
+from pipelines.dock.blockage import Moment, moment_of, stood_still
+from pipelines.dock.clearance import Clearance
+from pipelines.dock.exploration import Explorer
+from pipelines.dock.fix import Fix, fix_of
+from pipelines.dock.geometry import distance_between, position_sigma
+from pipelines.dock.logbook import Docking, Entry
+from pipelines.dock.outcomes import Ending, Outcome
+from pipelines.dock.pilot import Memory, Phase, Pilot
+from pipelines.dock.robot import STANDSTILL, CheckedRobot, Movement, RobotError
+from pipelines.dock.safety import Safety
+from pipelines.dock.settings import DockSettings
+from pipelines.geometry.camera import Undistorter
+from pipelines.lightfield.proxy import Quality, quality_named
+from pipelines.lightfield.renderer import Renderer
+from pipelines.lightfield.scene import Scene
+from pipelines.localize.localizer import VIEW_RESOLUTION_FACTOR, Localizer
+from pipelines.localize.run import FrameRecord
+from pipelines.localize.settings import LocalizerSettings
+
+
+@dataclass(frozen=True)
+class Report:
+    """What can be said of a step while the docking goes on.
+
+    Attributes:
+        step: number of the image.
+        state: name of the state.
+        status: of the filter.
+        estimate: ``(3,)`` or None where there is nothing to rely on.
+        sigma: metres, of the estimate.
+        distance: metres from the goal; None likewise.
+        command: the movement that comes next.
+    """
+
+    step: int
+    state: str
+    status: str
+    estimate: FloatArray | None
+    sigma: float
+    distance: float | None
+    command: Movement
+
+
+Listener = Callable[[Report], None]
+
+
+@dataclass(frozen=True)
+class Equipment:
+    """What a docking works with.
+
+    Attributes:
+        robot: checked.
+        localizer: of the robot's camera in the scene.
+        pilot: with goal and bounds.
+        settings: of the docking.
+    """
+
+    robot: CheckedRobot
+    localizer: Localizer
+    pilot: Pilot
+    settings: DockSettings
+
+
+def equipment_of(
+    scene: Scene,
+    robot: CheckedRobot,
+    goal: FloatArray,
+    settings: DockSettings,
+    filter_settings: LocalizerSettings,
+    rng: np.random.Generator,
+) -> Equipment:
+    """Makes localizer and pilot for a robot in a scene.
+
+    Args:
+        scene: the light field.
+        robot: checked.
+        goal: ``(3,)`` x, y in metres and heading in radians.
+        settings: of the docking.
+        filter_settings: of the filter; start and area are taken from ``settings``.
+        rng: of the filter.
+
+    Raises:
+        OptionError: a goal where no robot can be, an area outside of the scene, a filter with six
+            degrees of freedom.
+    """
+    if filter_settings.state_space.angles != 1:
+        raise OptionError("docking takes place on a floor: the filter needs 3 degrees of freedom")
+    x_min, x_max, y_min, y_max = settings.area or map(float, scene.bounds)
+    clearance = Clearance(scene, float(robot.base_from_camera[2, 3]))
+    safety = Safety((x_min, x_max, y_min, y_max), clearance, settings.least_distance)
+    safety.check_goal(goal)
+    chosen = replace(filter_settings, start=settings.start, area=settings.area)
+    renderer = Renderer.of_scene(
+        scene,
+        VIEW_RESOLUTION_FACTOR * chosen.fine_width,
+        chosen.blending,
+        quality_named(chosen.quality, bool(scene.depth), Quality.MEDIUM),
+        chosen.threads,
+    )
+    localizer = Localizer(scene, robot.camera, robot.base_from_camera, chosen, rng, renderer)
+    intrinsics = Undistorter(robot.camera).intrinsics
+    explorer = Explorer(renderer, robot.base_from_camera, intrinsics, safety)
+    return Equipment(robot, localizer, Pilot(goal, settings, safety, explorer), settings)
+
+
+def dock(equipment: Equipment, listener: Listener) -> Docking:
+    """Docks a robot.
+
+    Args:
+        equipment: robot, localizer, pilot.
+        listener: told of every step.
+
+    Returns:
+        What happened and how it ended; also after Ctrl-C and when the robot fails.
+    """
+    loop = _Loop(equipment, listener)
+    try:
+        outcome = loop.run()
+    except KeyboardInterrupt:
+        outcome = Outcome(Ending.INTERRUPTED, "interrupted from the keyboard")
+    except RobotError as error:
+        outcome = Outcome(Ending.ROBOT_FAILED, str(error))
+    finally:
+        # Before anything else, an error of the filter included.
+        failure = _stopped(equipment.robot)
+    if failure is not None and outcome.ending is not Ending.ROBOT_FAILED:
+        outcome = Outcome(Ending.ROBOT_FAILED, f"{failure} (after: {outcome.reason})")
+    return loop.finished(outcome)
+
+
+def _stopped(robot: CheckedRobot) -> str | None:
+    """Stops the robot; what went wrong, if anything did."""
+    try:
+        robot.stop()
+    except LfnavError as error:
+        return str(error)
+    return None
+
+
+class _Loop:
+    """The state of a docking while it goes on."""
+
+    def __init__(self, equipment: Equipment, listener: Listener) -> None:
+        self._robot = equipment.robot
+        self._localizer = equipment.localizer
+        self._pilot = equipment.pilot
+        self._settings = equipment.settings
+        self._listener = listener
+        self._entries: list[Entry] = []
+        self._memory = Memory()
+        self._began = time.monotonic()
+        self._filter_seconds = 0.0
+
+    def run(self) -> Outcome:
+        """Goes on until there is an outcome."""
+        command, measured = STANDSTILL, STANDSTILL
+        before: Moment | None = None
+        while True:
+            spent = self._robot.seconds
+            image = self._robot.take_image()
+            true_state = self._robot.true_state()
+            frame = self._localized(image, measured, spent)
+            fix = fix_of(frame)
+            now = moment_of(image, fix)
+            still = before is not None and stood_still(command, measured, before, now)
+            decision = self._pilot.decide(self._memory, fix, still, measured)
+            outcome = decision.outcome or self._exhausted()
+            state = Phase.FINISHED if outcome is not None else decision.memory.phase
+            self._memory = replace(decision.memory, phase=state)
+            command = STANDSTILL if outcome is not None else decision.movement
+            word = state.value if outcome is None else outcome.ending.word
+            entry = Entry(frame, image, word, command, STANDSTILL, true_state)
+            self._entries.append(entry)
+            self._tell(frame, fix, word, command)
+            if outcome is not None:
+                return outcome
+            measured = self._robot.move(command)
+            self._entries[-1] = replace(entry, measured=measured)
+            before = now
+
+    def finished(self, outcome: Outcome) -> Docking:
+        """The docking as it ended."""
+        if self._entries and self._entries[-1].state != outcome.ending.word:
+            self._entries[-1] = replace(self._entries[-1], state=outcome.ending.word)
+        seconds = {
+            "total": time.monotonic() - self._began,
+            "robot": self._robot.seconds,
+            "filter": self._filter_seconds,
+        }
+        return Docking(
+            entries=tuple(self._entries),
+            outcome=outcome,
+            attempts=self._memory.attempts,
+            goal=self._pilot.goal,
+            staging=self._pilot.staging,
+            seconds=seconds,
+        )
+
+    def _localized(self, image: ImageArray, measured: Movement, spent: float) -> FrameRecord:
+        number = len(self._entries)
+        elapsed = time.monotonic() - self._began
+        # A simulated robot has no clock: the same seed gives the same run.
+        timestamp = float(number) if self._robot.is_simulated else elapsed
+        start = time.monotonic()
+        frame = self._localizer.step(
+            image, measured.vector() if number else None, timestamp, f"step {number:04d}"
+        )
+        self._filter_seconds += time.monotonic() - start
+        took = self._robot.seconds - spent
+        return replace(frame, seconds={**frame.seconds, "robot": took})
+
+    def _exhausted(self) -> Outcome | None:
+        settings = self._settings
+        if len(self._entries) >= settings.max_steps:
+            return Outcome(Ending.TIMED_OUT, f"{settings.max_steps} steps were not enough")
+        elapsed = time.monotonic() - self._began
+        if elapsed > settings.max_seconds:
+            return Outcome(Ending.TIMED_OUT, f"{settings.max_seconds:g} seconds were not enough")
+        return None
+
+    def _tell(self, frame: FrameRecord, fix: Fix, state: str, command: Movement) -> None:
+        known = fix.state if fix.is_sure else None
+        self._listener(
+            Report(
+                step=len(self._entries) - 1,
+                state=state,
+                status=frame.status,
+                estimate=known,
+                sigma=position_sigma(fix.covariance),
+                distance=None if known is None else distance_between(known, self._pilot.goal),
+                command=command,
+            )
+        )

@@ -1,0 +1,60 @@
+"""What a belief tells the pilot: a pose with its covariance, and whether to act on it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipelines.artifacts.array_types import FloatArray
+from pipelines.dock.geometry import position_sigma
+from pipelines.localize.run import FrameRecord
+
+# A belief to act on: one mode with this share of the weight, and no wider than this, metres.
+SURE_SHARE = 0.9
+SURE_POSITION = 0.35
+# A view that explains the image worse leaves doubt, whatever the particles say.
+SURE_CONFIDENCE = 0.25
+
+
+@dataclass(frozen=True)
+class Fix:
+    """Where the robot is taken to be.
+
+    Attributes:
+        state: ``(3,)``.
+        covariance: ``(3, 3)`` of its error, metres and radians.
+        modes: ``(K, 4)`` other places where it may be, and their share of the weight; the heaviest
+            first.
+        is_refined: whether ``state`` was aligned with the image.
+        is_sure: whether the belief has one narrow peak that explains the image.
+        is_blind: whether the image shows nothing.
+    """
+
+    state: FloatArray
+    covariance: FloatArray
+    modes: FloatArray
+    is_refined: bool
+    is_sure: bool
+    is_blind: bool
+
+
+def fix_of(record: FrameRecord) -> Fix:
+    """The fix of a frame on the floor."""
+    refined = record.estimates.get("refined")
+    main = record.modes[0]
+    state, covariance = main[:3], record.covariance
+    if refined is not None and record.refined_covariance is not None:
+        state, covariance = refined, record.refined_covariance
+    is_sure = (
+        record.status == "tracking"
+        and float(main[3]) >= SURE_SHARE
+        and position_sigma(record.covariance) <= SURE_POSITION
+        and record.confidence >= SURE_CONFIDENCE
+    )
+    return Fix(
+        state=np.asarray(state, dtype=np.float64),
+        covariance=covariance,
+        modes=record.modes,
+        is_refined=refined is not None,
+        is_sure=is_sure,
+        is_blind=record.status == "blind",
+    )

@@ -1,0 +1,76 @@
+"""Where the robot is to dock: given, where a view was taken, or from where an image was."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.dataset.images import decode_image, read_image_bytes
+from pipelines.dock.fix import fix_of
+from pipelines.geometry.camera import Camera
+from pipelines.geometry.pose import inverse, planar_state_of
+from pipelines.lightfield.scene import Scene
+from pipelines.localize.localizer import Localizer
+from pipelines.localize.settings import LocalizerSettings
+
+# An image is searched for so many times before it counts as not found.
+LOOKS = 6
+
+
+def goal_of_view(scene: Scene, index: int, base_from_camera: FloatArray) -> FloatArray:
+    """The state ``(3,)`` at which the robot's camera stands where view ``index`` was taken.
+
+    Args:
+        scene: the light field.
+        index: of the view, from 0.
+        base_from_camera: ``(4, 4)`` of the robot; its camera may be mounted at another height.
+
+    Raises:
+        OptionError: no such view.
+    """
+    if not 0 <= index < len(scene):
+        raise OptionError(f"the scene has no view {index}; its views are 0 to {len(scene) - 1}")
+    return planar_state_of(scene.world_from_camera[index] @ inverse(base_from_camera))
+
+
+def goal_of_image(
+    scene: Scene,
+    path: Path,
+    camera: Camera,
+    base_from_camera: FloatArray,
+    settings: LocalizerSettings,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """The state ``(3,)`` from which the robot's camera sees an image.
+
+    Args:
+        scene: the light field.
+        path: of the image, taken with the robot's camera.
+        camera: the robot's.
+        base_from_camera: ``(4, 4)`` its mount.
+        settings: of the filter; the image is searched for in their area.
+        rng: of the filter.
+
+    Raises:
+        InputError: unreadable, of another size than the camera's, or not found in the scene.
+    """
+    image = decode_image(read_image_bytes(path), path)
+    if image.shape[:2] != (camera.height, camera.width):
+        raise InputError(
+            path,
+            f"is {image.shape[1]}x{image.shape[0]} pixels, the robot's camera "
+            f"{camera.width}x{camera.height}",
+            "take it with the robot's camera",
+        )
+    localizer = Localizer(scene, camera, base_from_camera, replace(settings, start=None), rng)
+    for number in range(LOOKS):
+        fix = fix_of(localizer.step(image, np.zeros(3) if number else None, float(number)))
+        if fix.is_sure and fix.is_refined:
+            return fix.state
+    raise InputError(
+        path,
+        "shows no place in the scene that could be told from all others",
+        "give the goal as --goal X,Y,HEADING_DEG",
+    )

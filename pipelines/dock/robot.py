@@ -1,0 +1,193 @@
+"""What a robot has to do to be docked: take an image, move a little, stop.
+
+A class of anybody's that has these members is a robot; nothing needs to be inherited. A complete
+one stands in ``docs/docking.md``.
+"""
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from pipelines.artifacts.array_types import FloatArray, ImageArray
+from pipelines.artifacts.errors import LfnavError
+from pipelines.geometry.camera import Camera
+
+METHODS = ("take_image", "move", "stop")
+ATTRIBUTES = ("camera", "base_from_camera")
+
+
+class Robot(Protocol):
+    """A robot on a floor with one camera."""
+
+    @property
+    def camera(self) -> Camera:
+        """Model and calibration of its camera."""
+
+    @property
+    def base_from_camera(self) -> FloatArray:
+        """``(4, 4)`` where the camera sits on the robot."""
+
+    def take_image(self) -> ImageArray:
+        """A camera image, ``(height, width, 3)`` RGB, 8 bits, taken while standing still."""
+
+    def move(self, forward: float, left: float, turn: float) -> Sequence[float]:
+        """Moves and comes to a stop.
+
+        Args:
+            forward: metres along the robot's own x axis, as it stands before the movement.
+            left: metres along its y axis; 0 for a robot that cannot drive sideways.
+            turn: radians, counter-clockwise.
+
+        Returns:
+            The movement as odometry measured it: forward, left, turn, in the same frame.
+        """
+
+    def stop(self) -> None:
+        """Brings the robot to a standstill at once; called at the end, whatever happened."""
+
+
+@runtime_checkable
+class KnowsTruth(Protocol):
+    """A simulator: it knows where its robot really is. The docking itself never asks."""
+
+    def true_state(self) -> FloatArray:
+        """``(3,)`` x, y in metres and heading in radians."""
+
+
+class RobotError(LfnavError):
+    """The robot's driver raised an exception, or handed over what no robot should."""
+
+
+@dataclass(frozen=True)
+class Movement:
+    """A movement in the robot's frame before it: metres forward and left, radians of turn."""
+
+    forward: float = 0.0
+    left: float = 0.0
+    turn: float = 0.0
+
+    @property
+    def distance(self) -> float:
+        """Metres."""
+        return math.hypot(self.forward, self.left)
+
+    def vector(self) -> FloatArray:
+        """``(3,)``."""
+        return np.array([self.forward, self.left, self.turn])
+
+    def scaled(self, share: float) -> "Movement":
+        """A share of it."""
+        return Movement(share * self.forward, share * self.left, share * self.turn)
+
+
+STANDSTILL = Movement()
+
+
+class CheckedRobot:
+    """A robot whose answers are looked at before they are used, and whose time is taken.
+
+    Args:
+        robot: anybody's.
+
+    Raises:
+        RobotError: a member is missing, or camera or mount are not what they should be.
+    """
+
+    def __init__(self, robot: Any) -> None:
+        self.name = type(robot).__name__
+        missing = [name for name in METHODS if not callable(getattr(robot, name, None))]
+        missing += [name for name in ATTRIBUTES if not hasattr(robot, name)]
+        if missing:
+            raise RobotError(
+                f"robot {self.name} lacks {' and '.join(missing)}; it needs the methods "
+                f"{', '.join(METHODS)} and the attributes {', '.join(ATTRIBUTES)}"
+            )
+        self._robot = robot
+        self.seconds = 0.0
+        self.camera = robot.camera
+        if not isinstance(self.camera, Camera):
+            raise RobotError(f"robot {self.name}: camera is no pipelines.geometry.camera.Camera")
+        mount = _floats(robot.base_from_camera)
+        if mount is None or mount.shape != (4, 4) or not np.all(np.isfinite(mount)):
+            raise RobotError(f"robot {self.name}: base_from_camera is no (4, 4) matrix")
+        self.base_from_camera: FloatArray = mount
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether the robot exists in a program only: its clock is then the number of the step."""
+        return isinstance(self._robot, KnowsTruth)
+
+    def take_image(self) -> ImageArray:
+        """See ``Robot.take_image``.
+
+        Raises:
+            RobotError: the driver raised, or the image is not of the camera's size and type.
+        """
+        image = np.asarray(self._ask("take_image"))
+        wanted = (self.camera.height, self.camera.width, 3)
+        if image.shape != wanted or image.dtype != np.uint8:
+            raise RobotError(
+                f"robot {self.name}: take_image returned {_shape_text(image)}, its camera says "
+                f"{_shape_text(np.empty(wanted, np.uint8))}"
+            )
+        return image
+
+    def move(self, movement: Movement) -> Movement:
+        """Moves; returns what odometry measured.
+
+        Raises:
+            RobotError: the driver raised, or the odometry is not three finite numbers.
+        """
+        answer = self._ask("move", movement.forward, movement.left, movement.turn)
+        measured = _floats(answer)
+        if measured is None or measured.shape != (3,) or not np.all(np.isfinite(measured)):
+            raise RobotError(
+                f"robot {self.name}: move returned {str(answer)[:60]}, not the measured forward, "
+                "left and turn as three finite numbers"
+            )
+        forward, left, turn = measured.tolist()
+        return Movement(forward, left, turn)
+
+    def stop(self) -> None:
+        """See ``Robot.stop``.
+
+        Raises:
+            RobotError: the driver raised.
+        """
+        self._ask("stop")
+
+    def true_state(self) -> FloatArray | None:
+        """Where a simulated robot really is; None where nobody knows."""
+        return self._robot.true_state() if isinstance(self._robot, KnowsTruth) else None
+
+    def _ask(self, method: str, *values: float) -> Any:
+        start = time.perf_counter()
+        try:
+            return getattr(self._robot, method)(*values)
+        except LfnavError:
+            raise
+        except Exception as error:
+            # A driver may raise anything, and the run so far must not be lost with it.
+            raise RobotError(
+                f"robot {self.name}: {method} raised {type(error).__name__}: {error}"
+            ) from error
+        finally:
+            self.seconds += time.perf_counter() - start
+
+
+def _floats(values: Any) -> FloatArray | None:
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        return None
+
+
+def _shape_text(image: Any) -> str:
+    if image.ndim != 3:
+        return f"an array of shape {image.shape}"
+    height, width, channels = image.shape
+    return f"{width}x{height} pixels with {channels} channels of {image.dtype}"

@@ -1,0 +1,1 @@
+"""Robots behind the docking protocol: simulated ones, recorded ones, the user's own."""

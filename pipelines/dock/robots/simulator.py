@@ -1,0 +1,193 @@
+"""``sim:SCENE.xml``: a robot in a Mitsuba scene, with path-traced camera images.
+
+The scene holds geometry, materials, light and an integrator; the sensor is put into it here. Only
+the variant ``scalar_rgb`` is used, which needs no GPU and no LLVM.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipelines.artifacts.array_types import Float32Array, FloatArray, ImageArray
+from pipelines.artifacts.errors import InputError, OptionError, StageError
+from pipelines.dock.robot import Movement
+from pipelines.dock.robots.actuation import SimulatedMotion
+from pipelines.dock.robots.denoising import Features, denoised
+from pipelines.dock.robots.sensor import SensorNoise, as_recorded
+from pipelines.geometry.camera import Camera, Intrinsics
+from pipelines.geometry.pose import world_from_base_planar
+
+VARIANT = "scalar_rgb"
+INSTALL = "pip install 'lfnav[sim]'"
+# Mitsuba's camera looks along z with x to the left and y up.
+CAMERA_FROM_MITSUBA = np.diag([-1.0, -1.0, 1.0, 1.0])
+# Radiance beyond this is a firefly of the path tracer, not a lamp.
+LARGEST_RADIANCE = 30.0
+# Besides the radiance: colour, shape and place of what each pixel shows.
+FEATURES = "albedo:albedo,normal:sh_normal,depth:depth"
+
+
+@dataclass(frozen=True)
+class PathTracing:
+    """How images are made.
+
+    Attributes:
+        samples: paths a pixel.
+        denoise: whether the noise of so few paths is smoothed away.
+
+    Raises:
+        OptionError: no samples.
+    """
+
+    samples: int = 8
+    denoise: bool = True
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.samples <= 65536:
+            raise OptionError(f"{self.samples} samples a pixel are not between 1 and 65536")
+
+
+class SimulatorRobot:
+    """Its camera images are path-traced.
+
+    Args:
+        path: the Mitsuba scene.
+        camera: without distortion.
+        base_from_camera: ``(4, 4)``.
+        motion: where it is and how it moves.
+        sensor: errors of the images.
+        tracing: how images are made.
+        rng: of the errors and of the paths.
+
+    Raises:
+        StageError: Mitsuba is not installed.
+        InputError: the scene does not load.
+        OptionError: a camera with distortion.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        camera: Camera,
+        base_from_camera: FloatArray,
+        motion: SimulatedMotion,
+        sensor: SensorNoise,
+        tracing: PathTracing,
+        rng: np.random.Generator,
+    ) -> None:
+        if camera.has_distortion:
+            raise OptionError(
+                "the simulator's camera has no lens distortion; give a PINHOLE camera"
+            )
+        self.camera = camera
+        self.base_from_camera = base_from_camera
+        self._mitsuba = imported_mitsuba()
+        self._scene = _loaded(self._mitsuba, path)
+        self._integrator = self._mitsuba.load_dict(
+            {"type": "aov", "aovs": FEATURES, "light": self._scene.integrator()}
+        )
+        self._motion, self._sensor, self._tracing, self._rng = motion, sensor, tracing, rng
+
+    def take_image(self) -> ImageArray:
+        """The view at the true pose."""
+        pose = world_from_base_planar(self._motion.state) @ self.base_from_camera
+        sensor = _sensor(self._mitsuba, pose, self.camera.intrinsics, self._tracing.samples)
+        layers = np.asarray(
+            self._mitsuba.render(
+                self._scene,
+                sensor=sensor,
+                integrator=self._integrator,
+                spp=self._tracing.samples,
+                seed=int(self._rng.integers(2**31)),
+            ),
+            dtype=np.float32,
+        )
+        radiance = np.clip(np.nan_to_num(layers[..., :3]), 0.0, LARGEST_RADIANCE)
+        if self._tracing.denoise:
+            albedo, normal, depth = layers[..., 3:6], layers[..., 6:9], layers[..., 9]
+            radiance = denoised(radiance, Features(albedo, normal, depth))
+        return as_recorded(developed(radiance), self._sensor, self._rng)
+
+    def move(self, forward: float, left: float, turn: float) -> tuple[float, float, float]:
+        """See ``Robot.move``."""
+        measured = self._motion.move(Movement(forward, left, turn))
+        return measured.forward, measured.left, measured.turn
+
+    def stop(self) -> None:
+        """It stands still already."""
+
+    def true_state(self) -> FloatArray:
+        """See ``KnowsTruth``."""
+        return self._motion.state
+
+
+def imported_mitsuba() -> Any:
+    """The module ``mitsuba``, set to the variant used here.
+
+    Raises:
+        StageError: it is not installed, or lacks the variant.
+    """
+    try:
+        import mitsuba
+    except ImportError as error:
+        raise StageError(
+            f"robots of the kind sim: need Mitsuba, which is not installed; {INSTALL}"
+        ) from error
+    if VARIANT not in mitsuba.variants():
+        raise StageError(f"this Mitsuba has no variant {VARIANT}; {INSTALL}")
+    mitsuba.set_variant(VARIANT)
+    mitsuba.set_log_level(mitsuba.LogLevel.Error)
+    return mitsuba
+
+
+def developed(radiance: Float32Array) -> ImageArray:
+    """An image ``(H, W, 3)`` from linear radiance: the response curve of the sample data's photos.
+
+    x = L (1 + L / 9) / (1 + L) * 1.35 (Reinhard et al. 2002, equation 4, white point 3), clipped,
+    then the sRGB curve.
+    """
+    light = radiance.astype(np.float64)
+    linear = np.clip(light * (1.0 + light / 9.0) / (1.0 + light) * 1.35, 0.0, 1.0)
+    curved = np.where(
+        linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055
+    )
+    return np.asarray(np.rint(255.0 * curved), dtype=np.uint8)
+
+
+def _loaded(mitsuba: Any, path: Path) -> Any:
+    if not path.is_file():
+        raise InputError(path, "does not exist")
+    try:
+        return mitsuba.load_file(str(path.resolve()))
+    except Exception as error:
+        # Mitsuba raises RuntimeError and others, with traces of several lines.
+        reason = " ".join(str(error).split())[:200]
+        raise InputError(path, f"is no scene that Mitsuba can load ({reason})") from error
+
+
+def _sensor(mitsuba: Any, pose: FloatArray, pinhole: Intrinsics, samples: int) -> Any:
+    """A perspective sensor at ``pose`` (world_from_camera) with a pinhole's field of view."""
+    fov = np.degrees(2.0 * np.arctan2(pinhole.width / 2.0, pinhole.fx))
+    return mitsuba.load_dict(
+        {
+            "type": "perspective",
+            "fov": float(fov),
+            "fov_axis": "x",
+            "near_clip": 0.01,
+            "far_clip": 1000.0,
+            "principal_point_offset_x": (pinhole.cx + 0.5) / pinhole.width - 0.5,
+            "principal_point_offset_y": (pinhole.cy + 0.5) / pinhole.height - 0.5,
+            "to_world": mitsuba.ScalarTransform4f(pose @ CAMERA_FROM_MITSUBA),
+            "film": {
+                "type": "hdrfilm",
+                "width": pinhole.width,
+                "height": pinhole.height,
+                "pixel_format": "rgb",
+                "component_format": "float32",
+                "rfilter": {"type": "box"},
+            },
+            "sampler": {"type": "independent", "sample_count": samples},
+        }
+    )

@@ -1,0 +1,247 @@
+"""The stage ``dock``: a scene model, a robot and a goal in, a robot that stands there and a run."""
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.atomic import check_output
+from pipelines.artifacts.errors import OptionError
+from pipelines.artifacts.provenance import provenance
+from pipelines.dock.dock import Listener, dock, equipment_of
+from pipelines.dock.geometry import distance_between, turn_between
+from pipelines.dock.goals import goal_of_image, goal_of_view
+from pipelines.dock.logbook import Docking, Origin, run_of
+from pipelines.dock.outcomes import Ending
+from pipelines.dock.robot import STANDSTILL, CheckedRobot
+from pipelines.dock.robots.choice import RobotOptions, robot_named
+from pipelines.dock.settings import DockSettings
+from pipelines.lightfield.bundle import load_scene
+from pipelines.lightfield.scene import Scene
+from pipelines.localize.run import relative_scene_path, save_run
+from pipelines.localize.settings import LocalizerSettings
+
+
+@dataclass(frozen=True)
+class Goal:
+    """Where to dock: exactly one of the three.
+
+    Attributes:
+        pose: x, y in metres and heading in radians.
+        view: number of a view of the scene.
+        image: an image taken with the robot's camera.
+
+    Raises:
+        OptionError: none or several.
+    """
+
+    pose: tuple[float, float, float] | None = None
+    view: int | None = None
+    image: Path | None = None
+
+    def __post_init__(self) -> None:
+        if [self.pose, self.view, self.image].count(None) != 2:
+            raise OptionError("give one goal: --goal, --goal-view or --goal-image")
+
+
+@dataclass(frozen=True)
+class DockSummary:
+    """How a docking went."""
+
+    path: Path
+    docking: Docking
+
+    @property
+    def exit_code(self) -> int:
+        """Of the command."""
+        return self.docking.outcome.ending.value
+
+    @property
+    def true_error(self) -> tuple[float, float] | None:
+        """Metres and radians between where the robot really is and the goal; None: unknown."""
+        entries = self.docking.entries
+        if not entries or entries[-1].true_state is None:
+            return None
+        state, goal = entries[-1].true_state, self.docking.goal
+        return distance_between(state, goal), abs(turn_between(state, goal))
+
+    def table(self) -> list[tuple[str, ...]]:
+        """Rows for people."""
+        docking = self.docking
+        steps = max(1, len(docking.entries))
+        total = max(docking.seconds["total"], 1e-9)
+        shares = {name: docking.seconds[name] / total for name in ("robot", "filter")}
+        rest = 1.0 - sum(shares.values())
+        rows: list[tuple[str, ...]] = [
+            ("outcome", docking.outcome.ending.word),
+            ("because", docking.outcome.reason),
+            ("goal", _pose_text(docking.goal)),
+            ("steps", f"{len(docking.entries)}, {docking.attempts} attempts"),
+            ("seconds", f"{total:.1f}, {total / steps:.2f} a step"),
+            (
+                "share of the time",
+                f"robot {shares['robot']:.0%}, filter {shares['filter']:.0%}, rest {rest:.0%}",
+            ),
+        ]
+        if self.true_error is not None:
+            metres, radians = self.true_error
+            text = f"{100.0 * metres:.1f} cm, {math.degrees(radians):.2f} deg"
+            rows.append(("true distance to the goal", text))
+        rows.append(("run", str(self.path)))
+        return rows
+
+    def to_dict(self) -> dict[str, Any]:
+        """The same for programs."""
+        docking, error = self.docking, self.true_error
+        return {
+            "kind": "docking",
+            "path": str(self.path),
+            "outcome": docking.outcome.ending.word,
+            "exit_code": self.exit_code,
+            "reason": docking.outcome.reason,
+            "goal": {
+                "x_m": float(docking.goal[0]),
+                "y_m": float(docking.goal[1]),
+                "heading_deg": math.degrees(float(docking.goal[2])),
+            },
+            "steps": len(docking.entries),
+            "attempts": docking.attempts,
+            "seconds": docking.seconds,
+            "true_error": None
+            if error is None
+            else {"position_m": error[0], "heading_deg": math.degrees(error[1])},
+        }
+
+
+@dataclass(frozen=True)
+class DryRunSummary:
+    """What a robot is like that was only looked at."""
+
+    name: str
+    robot: CheckedRobot
+    facts: dict[str, str] = field(default_factory=dict)
+
+    exit_code = 0
+
+    def table(self) -> list[tuple[str, ...]]:
+        """Rows for people."""
+        return [("robot", self.name), *self.facts.items(), ("in order", "yes")]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The same for programs."""
+        return {"kind": "robot", "name": self.name, "in_order": True, **self.facts}
+
+
+def dock_robot(
+    scene_path: Path,
+    robot_name: str,
+    goal: Goal,
+    output: Path,
+    settings: DockSettings,
+    filter_settings: LocalizerSettings,
+    robot_options: RobotOptions,
+    *,
+    seed: int,
+    overwrite: bool,
+    listener: Listener,
+) -> DockSummary:
+    """Docks a robot and writes the run, however it ended.
+
+    Args:
+        scene_path: scene model.
+        robot_name: see ``robots.choice.robot_named``.
+        goal: where to.
+        output: the file to be written.
+        settings: of the docking.
+        filter_settings: of the filter.
+        robot_options: of a simulated robot.
+        seed: of the filter's and a simulated robot's random numbers, not negative.
+        overwrite: whether an existing file may be replaced.
+        listener: told of every step.
+
+    Raises:
+        InputError: an input cannot be used, or the output not be written.
+        OptionError: settings that make no sense, a goal where no robot can be.
+        RobotError: the robot is none.
+    """
+    check_output(output, overwrite)
+    _check_seed(seed)
+    scene = load_scene(scene_path)
+    robot = robot_named(robot_name, scene, robot_options, seed)
+    place = _goal_state(goal, scene, robot, filter_settings, seed)
+    rng = np.random.default_rng(seed)
+    equipment = equipment_of(scene, robot, place, settings, filter_settings, rng)
+    docking = dock(equipment, listener)
+    record = provenance(
+        "dock",
+        {**settings.to_dict(), "robot": robot_name, "seed": seed},
+        {"scene": scene.identifier},
+    )
+    origin = Origin(
+        scene.identifier, relative_scene_path(scene_path, output), robot_name, seed, record
+    )
+    run = run_of(docking, robot, filter_settings, settings, origin)
+    if run is not None:
+        save_run(output, run, overwrite)
+    elif docking.outcome.ending is Ending.ROBOT_FAILED:
+        # Not a single image: there is nothing that a run could hold.
+        raise OptionError(f"{docking.outcome.reason}; no run was written")
+    return DockSummary(output, docking)
+
+
+def dry_run(
+    scene_path: Path, robot_name: str, robot_options: RobotOptions, seed: int
+) -> DryRunSummary:
+    """Looks whether a robot is in order: takes an image, moves by nothing, stops.
+
+    Raises:
+        InputError, OptionError, RobotError, StageError: it is not.
+    """
+    _check_seed(seed)
+    robot = robot_named(robot_name, load_scene(scene_path), robot_options, seed)
+    try:
+        image = robot.take_image()
+        measured = robot.move(STANDSTILL)
+    finally:
+        robot.stop()
+    x, y, z = robot.base_from_camera[:3, 3]
+    facts = {
+        "camera": f"{robot.camera.model} {robot.camera.width}x{robot.camera.height}",
+        "camera's place": f"x {x:.3f} m, y {y:.3f} m, z {z:.3f} m",
+        "image": f"mean {image.mean():.0f} of 255, contrast {image.std():.0f}",
+        "odometry standing still": f"{measured.distance:.4f} m, "
+        f"{math.degrees(measured.turn):.3f} deg",
+        "seconds for these": f"{robot.seconds:.3f}",
+    }
+    return DryRunSummary(robot_name, robot, facts)
+
+
+def _check_seed(seed: int) -> None:
+    if seed < 0:
+        raise OptionError(f"seed {seed} is negative")
+
+
+def _goal_state(
+    goal: Goal,
+    scene: Scene,
+    robot: CheckedRobot,
+    filter_settings: LocalizerSettings,
+    seed: int,
+) -> FloatArray:
+    if goal.pose is not None:
+        return np.array(goal.pose)
+    if goal.view is not None:
+        return goal_of_view(scene, goal.view, robot.base_from_camera)
+    if goal.image is None:
+        raise OptionError("there is no goal")
+    rng = np.random.default_rng([seed, 4])
+    return goal_of_image(
+        scene, goal.image, robot.camera, robot.base_from_camera, filter_settings, rng
+    )
+
+
+def _pose_text(state: FloatArray) -> str:
+    return f"x {state[0]:.3f} m, y {state[1]:.3f} m, heading {math.degrees(state[2]):.1f} deg"
