@@ -22,9 +22,17 @@ from tests.drive_samples import (
 from tests.report_samples import facing_wall, photo
 
 
+@pytest.fixture(scope="module")
+def drives() -> list[list[FrameRecord]]:
+    """A drive from nowhere, for each of a few seeds."""
+    return [drive(localizer(informed_settings(), seed)) for seed in range(5)]
+
+
 @pytest.mark.parametrize("seed", range(5))
-def test_the_robot_is_found_anywhere_and_tracked(seed: int) -> None:
-    records = drive(localizer(informed_settings(), seed))
+def test_the_robot_is_found_anywhere_and_tracked(
+    seed: int, drives: list[list[FrameRecord]]
+) -> None:
+    records = drives[seed]
     words = [record.status for record in records]
     found = words.index("tracking")
     assert words == ["global"] * found + ["tracking"] * (len(words) - found)
@@ -40,11 +48,10 @@ def test_the_robot_is_found_anywhere_and_tracked(seed: int) -> None:
     assert counts[-1] <= 2 * 60
 
 
-def test_the_refined_estimate_is_the_finest() -> None:
+def test_the_refined_estimate_is_the_finest(drives: list[list[FrameRecord]]) -> None:
     modes, refined = [], []
-    for seed in range(3):
-        for record, truth in zip(drive(localizer(informed_settings(), seed))[2:], TRUTH[2:],
-                                 strict=True):  # fmt: skip
+    for records in drives:
+        for record, truth in zip(records[2:], TRUTH[2:], strict=True):
             modes.append(position_error(record, truth, "mode"))
             refined.append(position_error(record, truth, "refined"))
             assert record.refined_covariance is not None
@@ -60,11 +67,10 @@ def test_without_a_refine_width_there_is_no_refined_estimate() -> None:
     assert last.refined_covariance is None
 
 
-def test_the_refined_covariance_covers_the_error() -> None:
+def test_the_refined_covariance_covers_the_error(drives: list[list[FrameRecord]]) -> None:
     squares = []
-    for seed in range(3):
-        for record, truth in zip(drive(localizer(informed_settings(), seed))[2:], TRUTH[2:],
-                                 strict=True):  # fmt: skip
+    for records in drives:
+        for record, truth in zip(records[2:], TRUTH[2:], strict=True):
             error = record.estimates["refined"] - truth
             assert record.refined_covariance is not None
             squares.append(error @ np.linalg.solve(record.refined_covariance, error))

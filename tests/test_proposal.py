@@ -112,8 +112,8 @@ def log_likelihoods(states: FloatArray) -> FloatArray:
 @pytest.fixture(scope="module")
 def exact() -> FloatArray:
     """Posterior means of ``moments`` by summing over a fine grid."""
-    place = np.linspace(-3.0, 3.0, 101)
-    axes = [place, place, np.linspace(-np.pi, np.pi, 120, endpoint=False)]
+    place = np.linspace(-3.0, 3.0, 71)
+    axes = [place, place, np.linspace(-np.pi, np.pi, 90, endpoint=False)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     weights = np.exp(normalise_log_weights(PRIOR.log_density(grid) + log_likelihoods(grid))[0])
     return np.asarray(weights @ moments(grid))

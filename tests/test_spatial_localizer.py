@@ -90,7 +90,7 @@ def test_a_camera_is_found_around_the_recorded_views() -> None:
 @pytest.mark.parametrize("strategy", ["condensation", "coarse_to_fine"])
 def test_the_other_strategies_do_six_degrees_of_freedom_too(strategy: str) -> None:
     records = follow(
-        0, has_odometry=True, strategy=strategy, particles=400, estimate="mean", **NEAR
+        0, has_odometry=True, strategy=strategy, particles=250, estimate="mean", **NEAR
     )
     assert {record.status for record in records} == {"tracking"}
     for number, record in enumerate(records):

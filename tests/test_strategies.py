@@ -78,8 +78,8 @@ START = (0.3, -0.2, 0.0)
 
 def settings(**changes: Any) -> LocalizerSettings:
     chosen: dict[str, Any] = {
-        "particles": 800,
-        "start_particles": 800,
+        "particles": 600,
+        "start_particles": 600,
         "start": START,
         "start_position_sigma": 0.2,
         "start_heading_sigma": 0.01,
@@ -143,7 +143,7 @@ def moments(belief: Belief) -> tuple[FloatArray, FloatArray]:
 
 @every_strategy
 def test_the_filter_agrees_with_the_kalman_filter(make: Any, renderer: Renderer) -> None:
-    seen, seeds = measurements(5), 12
+    seen, seeds = measurements(4), 10
     expected = kalman(seen)
     means = np.empty((seeds, len(seen), 3))
     variances = np.empty((seeds, len(seen), 3))
