@@ -25,7 +25,7 @@ from pipelines.localize.estimate import (
     modes_table,
     state_covariance,
 )
-from pipelines.localize.state_space import PLANAR
+from pipelines.localize.state_space import PLANAR, SPATIAL
 from tests.localize_samples import weighted
 
 LOBBY = region_of_area((-5.0, 5.0, -5.0, 0.0))
@@ -234,3 +234,54 @@ def test_confidence_refuses_what_is_no_measure() -> None:
     ):
         with pytest.raises(OptionError):
             confidence(*arguments)
+
+
+# --- six degrees of freedom --------------------------------------------------------------------
+
+
+def clumps(centres: list[FloatArray], counts: list[int]) -> Belief:
+    """Equally weighted particles close around poses."""
+    rng = np.random.default_rng(9)
+    states = [
+        SPATIAL.moved(centre, 0.05 * rng.standard_normal((count, 6)))
+        for centre, count in zip(centres, counts, strict=True)
+    ]
+    total = sum(counts)
+    return Belief(np.concatenate(states), np.full(total, -np.log(total)))
+
+
+POSE: FloatArray = np.array([1.0, -2.0, 0.5, 0.3, -0.8, 1.9])
+
+
+@pytest.mark.parametrize(
+    "offset",
+    [[1.5, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 0.0, 1.5]],
+    ids=["another place", "another direction"],
+)
+def test_two_clumps_of_poses_are_two_modes(offset: list[float]) -> None:
+    other = SPATIAL.moved(POSE, np.array(offset))
+    modes = find_modes(clumps([POSE, other], [300, 100]))
+    assert [mode.share for mode in modes] == pytest.approx([0.75, 0.25])
+    for mode, centre in zip(modes, (POSE, other), strict=True):
+        assert np.linalg.norm(SPATIAL.difference(mode.state, centre)) < 0.03
+        np.testing.assert_allclose(np.diag(mode.covariance), 0.05**2, rtol=0.5)
+    assert sorted(np.concatenate([mode.members for mode in modes])) == list(range(400))
+    assert modes_table(modes).shape == (2, 7)
+
+
+def test_a_clump_of_poses_is_one_mode_across_the_jump_of_the_rotation_vector() -> None:
+    # Half a turn: the vector of one particle points up, that of its neighbour down.
+    centre = np.array([0.0, 0.0, 1.0, 0.0, 0.0, np.pi])
+    belief = clumps([centre], [300])
+    assert belief.states[:, 5].min() < -3.0 < 3.0 < belief.states[:, 5].max()
+    (mode,) = find_modes(belief)
+    assert mode.share == pytest.approx(1.0)
+    assert np.linalg.norm(SPATIAL.difference(mode.state, centre)) < 0.03
+
+
+def test_poses_without_weight_take_part_in_no_mode() -> None:
+    belief = clumps([POSE, POSE + 0.9], [50, 50])
+    weights = np.where(np.arange(100) < 50, 1.0, 0.0)
+    modes = find_modes(weighted(belief.states.tolist(), weights.tolist()))
+    assert len(modes) == 1
+    np.testing.assert_array_equal(np.sort(modes[0].members), np.arange(50))
