@@ -87,6 +87,28 @@ def _missing(values: Mapping[str, Path | None]) -> click.MissingParameter:
     type=click.Choice(["3", "6"]),
     help="3: a robot on the floor (the default). 6: a hand-held camera or a drone.",
 )
+@click.option(
+    "--method",
+    type=click.Choice(["filter", "pnp"]),
+    help="filter (the default). pnp: each image for itself, by SIFT features and their places in "
+    "the map; a pose, or none.",
+)
+@click.option(
+    "--with-pnp", is_flag=True, help="Beside the filter, note the pose by features, to compare."
+)
+@click.option(
+    "--proposal",
+    type=click.Choice(["appearance", "pnp", "both"]),
+    help="Where the strategy informed looks for the robot: where the scene looks like the image "
+    "(the default), where its features say, or both.",
+)
+@click.option(
+    "--reconstruction",
+    type=click.Path(path_type=Path),
+    metavar="FOLDER",
+    help="With PnP: take the features' places from the points of the reconstruction that SCENE was "
+    "made from. Default: from the scene's depth maps or plane.",
+)
 @click.option("--particles", type=int, help="Particles kept while tracking. Default: 195.")
 @click.option(
     "--start-particles",
@@ -144,6 +166,10 @@ def command(
     area: tuple[float, float, float, float] | None,
     init: tuple[float, ...] | None,
     degrees_of_freedom: str | None,
+    method: str | None,
+    with_pnp: bool,
+    proposal: str | None,
+    reconstruction: Path | None,
     particles: int | None,
     start_particles: int | None,
     strategy: str | None,
@@ -166,6 +192,7 @@ def command(
     Example:
       lfnav localize out/elevators.h5 sample_data/elevators/test -o out/run.h5 --seed 0
       lfnav localize scene.h5 drive/ -o run.h5 --init 1.0,-2.5,90
+      lfnav localize scene.h5 drive/ -o run.h5 --method pnp
       lfnav localize --print-config --particles 500 > settings.toml
       lfnav localize scene.h5 drive/ -o run.h5 --config settings.toml
     """
@@ -175,6 +202,9 @@ def command(
     from pipelines.localize.stage import localize
 
     options: dict[str, Any] = {
+        "method": method,
+        "with_pnp": with_pnp or None,
+        "proposal": proposal,
         "strategy": strategy,
         "degrees_of_freedom": None if degrees_of_freedom is None else int(degrees_of_freedom),
         "particles": particles,
@@ -207,5 +237,6 @@ def command(
         odometry=odometry,
         overwrite=overwrite,
         progress=progress,
+        reconstruction=reconstruction,
     )
     print_summary(summary, as_json)

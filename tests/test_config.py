@@ -56,6 +56,9 @@ OTHER: dict[str, tuple[Any, Any]] = {
     "estimate": ("mean", "mean"),
     "map_position_sigma": (0.03, 0.03),
     "map_heading_sigma": (math.radians(0.8), 0.8),
+    "method": ("pnp", "pnp"),
+    "with_pnp": (True, True),
+    "proposal": ("both", "both"),
     "threads": (3, 3),
 }
 

@@ -17,6 +17,8 @@ NAN, INF = math.nan, math.inf
 
 # Keyword -> impossible values, and what the error says about each of them.
 IMPOSSIBLE: dict[str, tuple[tuple[Any, ...], str]] = {
+    "method": (("sift", ""), "method"),
+    "proposal": (("none", ""), "proposal"),
     "map_position_sigma": ((-0.1, NAN, INF), "map position sigma"),
     "map_heading_sigma": ((-0.1, 4.0, NAN, INF), "map heading sigma"),
     "degrees_of_freedom": ((0, 2, 4, 7, NAN), "degrees of freedom"),
@@ -65,7 +67,7 @@ def test_impossible_values_are_refused_by_name(name: str, value: Any, text: str)
 def test_every_setting_with_a_range_is_in_the_table() -> None:
     fields = set(LocalizerSettings.__dataclass_fields__)
     # These are checked by their own types when they are made.
-    assert set(IMPOSSIBLE) == fields - {"likelihood", "motion", "blending"}
+    assert set(IMPOSSIBLE) == fields - {"likelihood", "motion", "blending", "with_pnp"}
 
 
 @pytest.mark.parametrize(

@@ -180,6 +180,15 @@ POSE = Kind("a list of three or six numbers", _pose, _pose_text)
 
 KEYS = (
     Key("filter", "strategy", "strategy", TEXT, "informed, coarse_to_fine or condensation"),
+    Key("filter", "method", "method", TEXT, "filter, or pnp: features of each image for itself"),
+    Key("filter", "with_pnp", "with_pnp", FLAG, "also note the pose by features, to compare"),
+    Key(
+        "filter",
+        "proposal",
+        "proposal",
+        TEXT,
+        "where informed looks for the robot: appearance, pnp or both",
+    ),
     Key("filter", "degrees_of_freedom", "degrees_of_freedom", WHOLE, "3: on the floor; 6: any"),
     Key("filter", "particles", "particles", WHOLE, "kept while tracking"),
     Key(

@@ -46,7 +46,7 @@ class RunSummary:
 
     def seconds_per_frame(self) -> float:
         """Mean wall time, all stages together."""
-        return float(np.mean([sum(frame.seconds.values()) for frame in self.run.frames]))
+        return float(np.mean(self.run.frame_seconds))
 
     def to_dict(self) -> dict[str, Any]:
         """The same for programs."""
@@ -82,7 +82,7 @@ class RunSummary:
 
     def _last_estimate_text(self) -> str:
         # A frame of its own: "no pose" is an answer, the pose of an earlier frame would not be.
-        if not self.run.estimate_names:
+        if not self.run.own_estimate_names:
             return "none"
         name = self.run.default_estimate
         state = self.run.frames[-1].estimates.get(name)

@@ -23,7 +23,7 @@ from pipelines.localize.consistency import (
     frames_to_recover,
     frames_until_converged,
 )
-from pipelines.localize.run import Run, load_run
+from pipelines.localize.run import PNP_ESTIMATE, Run, load_run
 from pipelines.localize.state_space import StateSpace
 
 LAST_FRAMES = 5
@@ -114,6 +114,41 @@ class TrackEvaluation:
 
 
 @dataclass(frozen=True)
+class PnpEvaluation:
+    """How the pose by features did on the same frames.
+
+    Attributes:
+        errors: where it has a pose; None where none of those has a truth.
+        frames_with_pose: of all frames of the run.
+        frames: of the run.
+        seconds_per_frame: mean wall time of features, matches and pose.
+    """
+
+    errors: TrackEvaluation | None
+    frames_with_pose: int
+    frames: int
+    seconds_per_frame: float
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """For people; the errors are rows of their own."""
+        share = 100.0 * self.frames_with_pose / self.frames
+        text = f"{self.frames_with_pose} of {self.frames} ({share:.0f} %)"
+        return [
+            ("frames with a pose, pnp", text),
+            ("seconds a frame, pnp", f"{self.seconds_per_frame:.3f}"),
+        ]
+
+    def to_dict(self) -> dict[str, Any]:
+        """For programs."""
+        return {
+            "errors": None if self.errors is None else self.errors.to_dict(),
+            "frames_with_pose": self.frames_with_pose,
+            "share_with_pose": self.frames_with_pose / self.frames,
+            "seconds_per_frame": self.seconds_per_frame,
+        }
+
+
+@dataclass(frozen=True)
 class RunEvaluation:
     """A ``Summary`` of how well a run went.
 
@@ -121,6 +156,7 @@ class RunEvaluation:
         estimate: which of the run's estimates was judged.
         errors: of that estimate.
         odometry: of odometry alone; None where the run has none.
+        pnp: of the pose by features; None where nobody asked for it.
         frames: how many frames have a truth.
         frames_without_groundtruth: how many have none, and count for nothing.
         frames_without_estimate: how many have a truth, but the filter gave no estimate.
@@ -129,12 +165,14 @@ class RunEvaluation:
         frames_to_recover: length of every stretch of worse frames between good ones.
         consistency: errors after convergence against the covariances that were stated, or None.
         particles: their number in the last frame.
-        seconds_per_frame: mean wall time, all stages together.
+        seconds_per_frame: mean wall time, all stages together, without PnP where that only ran
+            beside the filter.
     """
 
     estimate: str
     errors: TrackEvaluation
     odometry: TrackEvaluation | None
+    pnp: PnpEvaluation | None
     frames: int
     frames_without_groundtruth: int
     frames_without_estimate: int
@@ -149,6 +187,13 @@ class RunEvaluation:
         """Whether the estimate succeeded."""
         return self.errors.success
 
+    @property
+    def _pnp_errors(self) -> TrackEvaluation | None:
+        """Errors of PnP where they are not the estimate's."""
+        if self.pnp is None or self.estimate == PNP_ESTIMATE:
+            return None
+        return self.pnp.errors
+
     def table(self) -> list[tuple[str, ...]]:
         """Rows for people."""
         headings = ("median", "RMSE", "max", "last", f"last {LAST_FRAMES} mean")
@@ -158,12 +203,18 @@ class RunEvaluation:
         rows = [("error", *headings), *self.errors.rows(f"estimate ({self.estimate})")]
         if self.odometry is not None:
             rows += self.odometry.rows("odometry alone")
+        if self._pnp_errors is not None:
+            rows += self._pnp_errors.rows("pnp")
         rows.append(("success, estimate", _yes_or_no(self.success)))
         if self.odometry is not None:
             rows.append(("success, odometry alone", _yes_or_no(self.odometry.success)))
+        if self._pnp_errors is not None:
+            rows.append(("success, pnp", _yes_or_no(self._pnp_errors.success)))
         rows.append(("frames", frames))
         if self.frames_without_estimate:
             rows.append(("frames without an estimate", str(self.frames_without_estimate)))
+        if self.pnp is not None:
+            rows += self.pnp.rows()
         converged = self.frames_until_converged
         rows.append(("frames until converged", "never" if converged is None else str(converged)))
         if self.frames_to_recover:
@@ -181,6 +232,7 @@ class RunEvaluation:
             "estimate": self.estimate,
             **self.errors.to_dict(),
             "odometry": None if self.odometry is None else self.odometry.to_dict(),
+            "pnp": None if self.pnp is None else self.pnp.to_dict(),
             "frames": self.frames,
             "frames_without_groundtruth": self.frames_without_groundtruth,
             "frames_without_estimate": self.frames_without_estimate,
@@ -249,15 +301,32 @@ def evaluate_run(
         estimate=name,
         errors=errors,
         odometry=odometry,
+        pnp=_evaluate_pnp(run, truth),
         frames=int(np.count_nonzero(has_truth)),
         frames_without_groundtruth=int(np.count_nonzero(~has_truth)),
         frames_without_estimate=int(np.count_nonzero(has_truth & ~has_estimate)),
         frames_until_converged=converged,
         frames_to_recover=tuple(frames_to_recover(good[has_truth])),
-        consistency=consistency_of(run, name, truth, followed),
+        # PnP beside the filter has no covariance in the file.
+        consistency=consistency_of(run, name, truth, followed)
+        if name in run.own_estimate_names
+        else None,
         particles=len(run.frames[-1].particles),
-        seconds_per_frame=float(np.mean([sum(frame.seconds.values()) for frame in run.frames])),
+        seconds_per_frame=float(np.mean(run.frame_seconds)),
     )
+
+
+def _evaluate_pnp(run: Run, truth: FloatArray) -> PnpEvaluation | None:
+    if not (run.settings.get("with_pnp") or run.settings.get("method") == "pnp"):
+        return None
+    noted = [PNP_ESTIMATE in frame.estimates for frame in run.frames]
+    errors = None
+    if any(noted):
+        states = run.estimated_states(PNP_ESTIMATE)
+        if np.any(_known(states) & _known(truth)):
+            errors = _evaluate_track(run.space, states, truth)
+    seconds = [frame.seconds.get(PNP_ESTIMATE, 0.0) for frame in run.frames]
+    return PnpEvaluation(errors, sum(noted), len(run.frames), float(np.mean(seconds)))
 
 
 def odometry_states(run: Run, groundtruth: FloatArray | None = None) -> FloatArray:

@@ -93,13 +93,20 @@ class Informed:
         self._increment: FloatArray | None = None
         self._estimate: FloatArray | None = None
         self._last_estimate: FloatArray | None = None
+        self._given = np.empty((0, comparison.space.dimension))
 
     @property
     def _space(self) -> StateSpace:
         return self._comparison.space
 
-    def update(self, observations: Observations, increment: FloatArray | None) -> Belief:
+    def update(
+        self,
+        observations: Observations,
+        increment: FloatArray | None,
+        hypotheses: FloatArray | None = None,
+    ) -> Belief:
         """See ``Strategy.update``."""
+        self._given = np.empty((0, self._space.dimension)) if hypotheses is None else hypotheses
         motion = None
         if self._belief is not None:
             motion = checked_increment(self._space, increment)
@@ -240,12 +247,12 @@ class Informed:
 
     def _hypotheses(self, prediction: Prediction, observations: Observations) -> FloatArray:
         """States ``(K, D)`` worth aligning."""
-        found = np.empty((0, self._space.dimension))
+        found = self._given
         if prediction.anywhere_share < 1.0:
             moved = Belief(prediction.centres, prediction.log_weights)
             modes = find_modes(moved, minimum_share=FOLLOWED_SHARE)[:FOLLOWED]
-            found = np.stack([mode.state for mode in modes])
-        if prediction.anywhere_share > 0.0:
+            found = np.concatenate([found, np.stack([mode.state for mode in modes])])
+        if prediction.anywhere_share > 0.0 and self._settings.proposal != "pnp":
             found = np.concatenate([found, self._lookalikes(observations)])
         return found
 

@@ -35,7 +35,7 @@ from pipelines.localize.observation import Observations, Observer
 from pipelines.localize.refinement import Refined
 from pipelines.localize.run import FrameRecord
 from pipelines.localize.settings import LocalizerSettings
-from pipelines.localize.state_space import StateSpace, state_space_of_dimension
+from pipelines.localize.state_space import state_space_of_dimension
 from pipelines.localize.strategies import CoarseToFine, Condensation, Strategy
 
 # The view at the estimate explains the image worse than this (correlation): the robot is lost.
@@ -93,7 +93,7 @@ class Localizer:
                 settings.threads,
             )
         self._comparison = Comparison(renderer, self.space, body_from_camera, settings.likelihood)
-        region = _region(scene, self.space, settings)
+        region = region_of(scene, settings)
         views = scene.world_from_camera
         self._strategy = _strategy(self._comparison, region, views, settings, rng)
         self._is_searching = settings.start is None
@@ -104,6 +104,7 @@ class Localizer:
         odometry_increment: FloatArray | None = None,
         timestamp: float = 0.0,
         image_name: str = "",
+        hypotheses: FloatArray | None = None,
     ) -> FrameRecord:
         """Takes one camera image and the motion since the one before.
 
@@ -114,6 +115,7 @@ class Localizer:
                 the motion; None: nobody knows, a random walk. Not used for the first image.
             timestamp: seconds, kept in the record.
             image_name: kept in the record.
+            hypotheses: ``(K, D)`` states worth a look, found by other means (``informed`` only).
 
         Returns:
             The belief, the estimates drawn from it, and how sure they are.
@@ -125,7 +127,9 @@ class Localizer:
         motion = checked_increment(self.space, odometry_increment)
         seconds: dict[str, float] = {}
         observations = _timed(seconds, "prepare", lambda: self._observer(image))
-        belief = _timed(seconds, "filter", lambda: self._strategy.update(observations, motion))
+        belief = _timed(
+            seconds, "filter", lambda: self._strategy.update(observations, motion, hypotheses)
+        )
         record = _timed(
             seconds,
             "estimate",
@@ -199,12 +203,13 @@ class Localizer:
         return replace(refined, covariance=covariance)
 
 
-def _region(scene: Scene, space: StateSpace, settings: LocalizerSettings) -> Region:
+def region_of(scene: Scene, settings: LocalizerSettings) -> Region:
     """Where the body may be.
 
     Raises:
         OptionError: the area does not touch what the scene covers.
     """
+    space = settings.state_space
     bounds = np.asarray(scene.bounds, dtype=np.float64)
     area = bounds if settings.area is None else np.array(settings.area)
     if area[0] >= bounds[1] or area[1] <= bounds[0] or area[2] >= bounds[3] or area[3] <= bounds[2]:

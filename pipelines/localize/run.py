@@ -38,6 +38,8 @@ SCHEMA_VERSION = 2
 STATUSES = ("global", "tracking", "blind", "lost")
 # The first of these that the frames have stands for the run where nobody asks for another one.
 ESTIMATE_PREFERENCE = ("refined", "mode", "mean", "max_weight")
+# The pose by features; beside the filter it stands for itself alone, never for the run.
+PNP_ESTIMATE = "pnp"
 MAX_IMAGE_BYTES = 256 * 1024 * 1024
 SECONDS_PREFIX = "seconds_"
 # What JSON of another structure than expected leads to.
@@ -178,9 +180,29 @@ class Run:
         return np.array([frame.timestamp for frame in self.frames])
 
     @property
+    def frame_seconds(self) -> FloatArray:
+        """``(N,)`` wall time of each frame, without PnP where it only ran beside the filter."""
+        settings = self.settings
+        beside = settings.get("with_pnp") and settings.get("proposal") == "appearance"
+        skipped = PNP_ESTIMATE if beside else None
+        return np.array(
+            [
+                sum(time for stage, time in frame.seconds.items() if stage != skipped)
+                for frame in self.frames
+            ],
+            dtype=np.float64,
+        )
+
+    @property
     def estimate_names(self) -> tuple[str, ...]:
         """Names of the estimates that any frame has, sorted."""
         return tuple(sorted({name for frame in self.frames for name in frame.estimates}))
+
+    @property
+    def own_estimate_names(self) -> tuple[str, ...]:
+        """The same without PnP where that only ran beside the filter."""
+        is_own = self.settings.get("method") == "pnp"
+        return tuple(name for name in self.estimate_names if is_own or name != PNP_ESTIMATE)
 
     @property
     def default_estimate(self) -> str:
@@ -189,7 +211,7 @@ class Run:
         Raises:
             OptionError: no frame has an estimate.
         """
-        names = self.estimate_names
+        names = self.own_estimate_names
         for name in (self.settings.get("estimate"), *ESTIMATE_PREFERENCE, *names):
             if name in names:
                 return str(name)

@@ -12,6 +12,8 @@ from pipelines.localize.motion import MotionModel
 from pipelines.localize.resampling import SCHEMES
 from pipelines.localize.state_space import StateSpace, state_space_of_dimension
 
+METHODS = ("filter", "pnp")
+PROPOSALS = ("appearance", "pnp", "both")
 STRATEGIES = ("informed", "coarse_to_fine", "condensation")
 ESTIMATES = ("refined", "mode", "mean", "max_weight")
 # Hypotheses that a search begins with.
@@ -26,6 +28,11 @@ class LocalizerSettings:
     """Settings of the particle filter.
 
     Attributes:
+        method: ``filter``, or ``pnp``: each image for itself, by its features (``pnp.py``); nothing
+            of the filter is used then.
+        with_pnp: whether the filter's frames carry the pose by features too, for comparison.
+        proposal: where ``informed`` looks for the body: where the scene's ``appearance`` is that of
+            the image, where the features say (``pnp``), or ``both``.
         strategy: ``informed``, ``coarse_to_fine`` or ``condensation`` (the paper's filter, step by
             step).
         degrees_of_freedom: 3 (a robot on the floor) or 6.
@@ -59,6 +66,9 @@ class LocalizerSettings:
         OptionError: a value that makes no sense.
     """
 
+    method: str = "filter"
+    with_pnp: bool = False
+    proposal: str = "appearance"
     strategy: str = "informed"
     degrees_of_freedom: int = 3
     particles: int = 195
@@ -85,7 +95,10 @@ class LocalizerSettings:
     threads: int | None = None
 
     def __post_init__(self) -> None:
+        _one_of("method", self.method, METHODS)
+        _one_of("proposal", self.proposal, PROPOSALS)
         _one_of("strategy", self.strategy, STRATEGIES)
+        self._check_pnp()
         _one_of("resampling", self.resampling, tuple(SCHEMES))
         _one_of("estimate", self.estimate, ESTIMATES)
         if self.degrees_of_freedom not in DEGREES_OF_FREEDOM:
@@ -127,6 +140,19 @@ class LocalizerSettings:
             raise OptionError(f"start {self.start} is not finite")
         if self.area is not None:
             _check_area(self.area)
+
+    def _check_pnp(self) -> None:
+        if self.method == "pnp" and (self.with_pnp or self.proposal != "appearance"):
+            raise OptionError("method pnp runs without a filter, so that nothing is beside it")
+        if self.proposal != "appearance" and self.strategy != "informed":
+            raise OptionError(
+                f"strategy {self.strategy} takes no proposals; {self.proposal} goes with informed"
+            )
+
+    @property
+    def uses_pnp(self) -> bool:
+        """Whether poses by features are needed."""
+        return self.method == "pnp" or self.with_pnp or self.proposal != "appearance"
 
     @property
     def search_particles(self) -> int:

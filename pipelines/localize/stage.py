@@ -1,11 +1,13 @@
 """The stage ``localize``: a scene model and a data set in, a run out."""
 
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.array_types import FloatArray, ImageArray
 from pipelines.artifacts.atomic import check_output
 from pipelines.artifacts.errors import InputError, OptionError
 from pipelines.artifacts.progress import Progress
@@ -22,10 +24,17 @@ from pipelines.geometry.camera import Camera
 from pipelines.lightfield.bundle import load_scene
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.description import RunSummary
-from pipelines.localize.localizer import Localizer
-from pipelines.localize.run import Run, relative_scene_path, save_run
+from pipelines.localize.localizer import Localizer, region_of
+from pipelines.localize.pnp import PnpLocalizer
+from pipelines.localize.pnp_frames import beside, pnp_record
+from pipelines.localize.run import FrameRecord, Run, relative_scene_path, save_run
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import StateSpace
+from pipelines.reconstruct.reconstruction import (
+    DESCRIPTION_NAME,
+    Reconstruction,
+    load_reconstruction,
+)
 
 
 def localize(
@@ -38,6 +47,7 @@ def localize(
     odometry: Path | None,
     overwrite: bool,
     progress: Progress,
+    reconstruction: Path | None = None,
 ) -> RunSummary:
     """Localizes the robot in every frame of a data set and writes the run.
 
@@ -50,6 +60,7 @@ def localize(
         odometry: TUM file to use instead of the data set's own.
         overwrite: whether an existing file may be replaced.
         progress: told how far the work is.
+        reconstruction: folder of the scene's reconstruction, whose points PnP then uses.
 
     Raises:
         InputError: an input cannot be used, or the output not be written.
@@ -58,12 +69,17 @@ def localize(
     check_output(output, overwrite)
     if seed < 0:
         raise OptionError(f"seed {seed} is negative")
+    if reconstruction is not None and not settings.uses_pnp:
+        raise OptionError("a reconstruction is of use to PnP alone, which nothing asks for")
     scene = load_scene(scene_path)
+    points = None if reconstruction is None else load_reconstruction(reconstruction)
     dataset = load_dataset(dataset_path, odometry=odometry)
     source = odometry if odometry is not None else dataset_path / ODOMETRY_FILE
     inputs = {"scene": scene.identifier}
     if dataset.odometry is not None:
         inputs["odometry"] = sha256_of_file(source)
+    if reconstruction is not None:
+        inputs["reconstruction"] = sha256_of_file(reconstruction / DESCRIPTION_NAME)
     run = localize_dataset(
         scene,
         dataset,
@@ -73,6 +89,8 @@ def localize(
         scene_path=relative_scene_path(scene_path, output),
         record=provenance("localize", {**settings.to_dict(), "seed": seed}, inputs),
         progress=progress,
+        reconstruction=points,
+        reconstruction_path=str(reconstruction),
     )
     save_run(output, run, overwrite)
     return RunSummary(output, run)
@@ -88,6 +106,8 @@ def localize_dataset(
     scene_path: str,
     record: dict[str, Any],
     progress: Progress,
+    reconstruction: Reconstruction | None = None,
+    reconstruction_path: str = "reconstruction",
 ) -> Run:
     """Localizes the robot in every frame of a data set, in memory.
 
@@ -100,13 +120,15 @@ def localize_dataset(
         scene_path: how the run refers to its scene.
         record: the run's provenance.
         progress: told how far the work is.
+        reconstruction: the scene's, whose points PnP then uses; None: the scene's surface.
+        reconstruction_path: how errors name it.
 
     Raises:
         InputError: the data set lacks camera, mount or odometry, or an image cannot be read.
     """
     space = settings.state_space
     camera, mount = _camera_and_mount(dataset, space)
-    if dataset.odometry is None and space.angles == 1:
+    if dataset.odometry is None and space.angles == 1 and settings.method == "filter":
         raise InputError(
             odometry_source,
             "is missing: a planar robot is localized with odometry",
@@ -115,20 +137,30 @@ def localize_dataset(
     body_poses = None
     if dataset.odometry is not None:
         body_poses = poses_at_images(dataset, dataset.odometry, odometry_source)
-    localizer = Localizer(scene, camera, mount, settings, np.random.default_rng(seed))
-    frames = []
-    for index in progress(range(len(dataset)), "localize", len(dataset)):
-        increment = None
-        if index > 0 and body_poses is not None:
-            increment = space.increment(body_poses[index - 1], body_poses[index])
-        frames.append(
-            localizer.step(
-                dataset.read_image(index),
-                increment,
-                float(dataset.timestamps[index]),
-                dataset.image_names[index],
+    with ExitStack() as resources:
+        pnp = None
+        if settings.uses_pnp:
+            pnp = resources.enter_context(
+                PnpLocalizer(
+                    scene,
+                    camera,
+                    mount,
+                    space,
+                    seed=seed,
+                    threads=settings.threads,
+                    reconstruction=reconstruction,
+                    reconstruction_path=reconstruction_path,
+                    progress=progress,
+                )
             )
-        )
+        locate = _locator(scene, camera, mount, settings, np.random.default_rng(seed), pnp)
+        frames = []
+        for index in progress(range(len(dataset)), "localize", len(dataset)):
+            increment = None
+            if index > 0 and body_poses is not None:
+                increment = space.increment(body_poses[index - 1], body_poses[index])
+            time, name = float(dataset.timestamps[index]), dataset.image_names[index]
+            frames.append(locate(dataset.read_image(index), increment, time, name))
     return Run(
         scene_identifier=scene.identifier,
         scene_path=scene_path,
@@ -143,6 +175,35 @@ def localize_dataset(
         groundtruth=_groundtruth_states(dataset, space),
         provenance=record,
     )
+
+
+def _locator(
+    scene: Scene,
+    camera: Camera,
+    mount: FloatArray,
+    settings: LocalizerSettings,
+    rng: np.random.Generator,
+    pnp: PnpLocalizer | None,
+) -> Callable[[ImageArray, FloatArray | None, float, str], FrameRecord]:
+    """What makes a record of an image, the motion before it, its time and its name."""
+    if pnp is not None and settings.method == "pnp":
+        region = region_of(scene, settings)
+        return lambda image, _, time, name: pnp_record(
+            pnp.locate(image), region, settings, rng, time, name
+        )
+    localizer = Localizer(scene, camera, mount, settings, rng)
+    if pnp is None:
+        return localizer.step
+
+    def step(
+        image: ImageArray, increment: FloatArray | None, time: float, name: str
+    ) -> FrameRecord:
+        answer = pnp.locate(image)
+        hypotheses = None if settings.proposal == "appearance" else answer.hypotheses
+        record = localizer.step(image, increment, time, name, hypotheses)
+        return beside(record, answer, noted=settings.with_pnp)
+
+    return step
 
 
 def _camera_and_mount(dataset: Dataset, space: StateSpace) -> tuple[Camera, FloatArray]:

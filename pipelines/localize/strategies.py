@@ -38,12 +38,19 @@ from pipelines.localize.state_space import StateSpace
 class Strategy(Protocol):
     """Carries a belief from frame to frame."""
 
-    def update(self, observations: Observations, increment: FloatArray | None) -> Belief:
+    def update(
+        self,
+        observations: Observations,
+        increment: FloatArray | None,
+        hypotheses: FloatArray | None = None,
+    ) -> Belief:
         """The belief after one image.
 
         Args:
             observations: the image.
             increment: ``(D,)`` the motion since the image before, or None.
+            hypotheses: ``(K, D)`` states where somebody else thinks that the body is, or None.
+                They say where to look, never what to believe.
         """
 
     def learn(self, estimate: FloatArray) -> None:
@@ -98,8 +105,13 @@ class Condensation:
     def _start_count(self, settings: LocalizerSettings) -> int:
         return settings.particles
 
-    def update(self, observations: Observations, increment: FloatArray | None) -> Belief:
-        """See ``Strategy.update``."""
+    def update(
+        self,
+        observations: Observations,
+        increment: FloatArray | None,
+        hypotheses: FloatArray | None = None,
+    ) -> Belief:
+        """See ``Strategy.update``; hypotheses are ignored."""
         states, log_weights = self._belief.states, self._belief.log_weights
         if not self._is_first:
             states, log_weights = self._drawn(checked_increment(self._comparison.space, increment))

@@ -6,10 +6,9 @@ from typing import Any
 import numpy as np
 
 from pipelines.lightfield.scene import Scene
-from pipelines.localize.run import Run
+from pipelines.localize.run import PNP_ESTIMATE, Run
 from pipelines.report.figures import Content
 from pipelines.report.page import Page, Picture, Table, flattened
-from pipelines.report.time_plots import stage_seconds
 from pipelines.report.tracks import Tracks
 from pipelines.report.verdict import frame_ranges, verdict_of
 
@@ -80,6 +79,7 @@ def _error_table(tracks: Tracks) -> Table:
     for name, errors in (
         ("estimate", tracks.estimate_errors),
         ("odometry alone", tracks.odometry_errors),
+        ("pnp", tracks.pnp_errors),
     ):
         if errors is None:
             continue
@@ -92,7 +92,7 @@ def _error_table(tracks: Tracks) -> Table:
 
 def _course_table(run: Run) -> Table:
     counts = [len(frame.log_weights) for frame in run.frames]
-    total = np.sum(list(stage_seconds(run).values()), axis=0)
+    total = run.frame_seconds
     last = run.frames[-1]
     rows = [
         ("tracking", _status_text(run, "tracking")),
@@ -102,6 +102,9 @@ def _course_table(run: Run) -> Table:
         ("at the last frame", f"{last.status}, confidence {last.confidence:.2f}"),
         ("particles", f"{counts[0]:,} at the first frame, {counts[-1]:,} at the last"),
     ]
+    if PNP_ESTIMATE in run.estimate_names:
+        located = sum(PNP_ESTIMATE in frame.estimates for frame in run.frames)
+        rows.append(("pose by features (pnp)", f"in {located} of {len(run.frames)} frames"))
     if np.any(total > 0.0):
         times = f"median {np.median(total):.3g} s, longest {np.max(total):.3g} s"
         rows.append(("time a frame", times))

@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 from pipelines.localize.run import Run
 from pipelines.report import style
 from pipelines.report.surroundings import Surroundings
-from pipelines.report.top_view import MIN_MODE_SHARE, PARTICLE_TONES, arrow_marker
+from pipelines.report.top_view import MIN_MODE_SHARE, PARTICLE_TONES, arrow_marker, pnp_symbol
 from pipelines.report.tracks import Tracks
 
 # Estimates in frames of these kinds are drawn hollow.
@@ -60,6 +60,8 @@ def legend_entries(
     if tracks.groundtruth is not None:
         band = Line2D([], [], color=style.TRUTH, linewidth=4.0, alpha=0.45)
         entries.append(((band, pose(style.TRUTH)), "ground truth"))
+    if tracks.pnp is not None and np.isfinite(tracks.pnp[list(indices), 0]).any():
+        entries.append((Line2D([], [], **pnp_symbol()), "pnp, the pose by features"))
     if any(np.sum(run.frames[i].modes[:, -1] >= MIN_MODE_SHARE) > 1 for i in indices):
         mode = Line2D(
             [], [], linestyle="none", marker="D", markersize=8.0, markerfacecolor="none",

@@ -15,6 +15,7 @@ ESTIMATE = "#0072B2"
 ODOMETRY = "#D55E00"
 TRUTH = "#009E73"
 RECORDING = "#56B4E9"
+PNP = "#CC79A7"
 MODE = "#E69F00"
 SURFACE = "#404040"
 SURFACE_BACK = "#D9D9D9"
@@ -56,6 +57,7 @@ STAGE_COLOURS = {
     "filter": "#0072B2",
     "resampling": "#E69F00",
     "estimate": "#009E73",
+    "pnp": "#CC79A7",
 }
 OTHER_STAGE_COLOURS = ("#CC79A7", "#F0E442", "#000000", "#C8C8C8")
 

@@ -119,6 +119,7 @@ def _deviations(run: Run, tracks: Tracks, heading: bool) -> list[_Curve]:
     for errors, label, colour, line, marker in (
         (tracks.estimate_errors, "estimate", style.ESTIMATE, "-", "o"),
         (tracks.odometry_errors, "odometry alone", style.ODOMETRY, "--", "^"),
+        (tracks.pnp_errors, "pnp", style.PNP, ":", "x"),
     ):
         if errors is not None:
             degrees, metres = errors.heading_error_deg.per_frame, errors.position_error_m.per_frame

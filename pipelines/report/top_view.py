@@ -1,5 +1,7 @@
 """One frame seen from above: particles, paths, poses, uncertainty, the mapped surface."""
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
@@ -104,6 +106,8 @@ def draw_top_view(
     _draw_modes(axes, record, first=1 if detail else 0)
     _draw_ellipse(axes, record)
     _draw_poses(axes, tracks, index, record.status == "tracking", size)
+    if tracks.pnp is not None:
+        axes.plot(*tracks.pnp[index, :2], **pnp_symbol(size), zorder=5.3)
 
 
 def _draw_axes(axes: Axes, limits: FloatArray) -> None:
@@ -298,6 +302,17 @@ def _draw_ellipse(axes: Axes, record: FrameRecord) -> None:
             zorder=4.2,
         )
         axes.add_patch(outline)
+
+
+def pnp_symbol(size: float = 1.0) -> dict[str, Any]:
+    """How the pose by features is marked: small, so that it hides no other pose."""
+    return {
+        "linestyle": "none",
+        "marker": "x",
+        "color": style.PNP,
+        "markersize": 8.0 * size,
+        "markeredgewidth": 2.0,
+    }
 
 
 def arrow_marker(heading: float) -> MarkerStyle:

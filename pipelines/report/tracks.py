@@ -12,7 +12,7 @@ from pipelines.localize.evaluation import (
     evaluate_run,
     odometry_states,
 )
-from pipelines.localize.run import Run
+from pipelines.localize.run import PNP_ESTIMATE, Run
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,8 @@ class Tracks:
         odometry: likewise.
         groundtruth: rows of NaN in frames without it; None where it is unknown altogether.
         evaluation: errors of the estimate and of odometry; None where they are unknown.
+        pnp: poses by features, from above; rows of NaN in frames without; None where the run noted
+            none beside the estimate.
     """
 
     estimate_name: str
@@ -37,6 +39,7 @@ class Tracks:
     odometry: FloatArray | None
     groundtruth: FloatArray | None
     evaluation: RunEvaluation | None
+    pnp: FloatArray | None = None
 
     @property
     def estimate_errors(self) -> TrackEvaluation | None:
@@ -47,6 +50,13 @@ class Tracks:
     def odometry_errors(self) -> TrackEvaluation | None:
         """Errors of odometry alone; None where they are unknown."""
         return None if self.evaluation is None else self.evaluation.odometry
+
+    @property
+    def pnp_errors(self) -> TrackEvaluation | None:
+        """Errors of the poses by features beside the estimate; None where they are unknown."""
+        if self.evaluation is None or self.evaluation.pnp is None or self.pnp is None:
+            return None
+        return self.evaluation.pnp.errors
 
 
 def tracks_of(run: Run, estimate: str | None) -> Tracks:
@@ -59,7 +69,7 @@ def tracks_of(run: Run, estimate: str | None) -> Tracks:
     Raises:
         OptionError: the run has no estimate of that name.
     """
-    if estimate is None and not run.estimate_names:
+    if estimate is None and not run.own_estimate_names:
         # Lost throughout: the report has to show just that.
         name, estimated = "none", np.full((len(run.frames), run.space.dimension), np.nan)
     else:
@@ -69,8 +79,9 @@ def tracks_of(run: Run, estimate: str | None) -> Tracks:
     if truth is not None and not known_rows(truth).any():
         truth = None
     # Odometry has no place of its own: it is put where the truth or the first estimate is.
-    has_place = truth is not None or bool(run.estimate_names)
+    has_place = truth is not None or bool(run.own_estimate_names)
     comparable = truth is not None and bool(np.any(known_rows(truth) & known_rows(estimated)))
+    has_pnp = name != PNP_ESTIMATE and PNP_ESTIMATE in run.estimate_names
     odometry = odometry_states(run) if run.odometry is not None and has_place else None
     return Tracks(
         estimate_name=name,
@@ -80,6 +91,7 @@ def tracks_of(run: Run, estimate: str | None) -> Tracks:
         odometry=None if odometry is None else seen_from_above(run, odometry),
         groundtruth=None if truth is None else seen_from_above(run, truth),
         evaluation=evaluate_run(run, estimate=name) if comparable else None,
+        pnp=seen_from_above(run, run.estimated_states(PNP_ESTIMATE)) if has_pnp else None,
     )
 
 

@@ -1,0 +1,302 @@
+"""The classical way to a camera's pose: SIFT, matches, perspective-n-point; a process of its own.
+
+Started by ``pnp`` as ``python -m pipelines.localize.pnp_worker SETTINGS``, and alive as long as its
+parent. It imports pycolmap and therefore never numba, nor anything that might.
+
+Features are Lowe's (2004), compared by the Hellinger distance (Arandjelovic, Zisserman 2012, "Three
+things everyone should know to improve object retrieval"). A match is the best both ways and clearly
+better than the second best. The pose comes from pycolmap: LO-RANSAC over minimal solutions, then
+robust refinement, with the camera's own distortion.
+
+Protocol: a JSON object a line on stdin, one as an answer on stdout. ``describe`` takes a photo of
+the map and answers the pixels of its features; ``landmarks`` says which of the last photo's have a
+place in the world; ``locate`` takes a camera image and answers its pose, or why there is none.
+Pixels have their centres at integers here and at .5 in pycolmap.
+"""
+
+import base64
+import json
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+
+from pipelines.artifacts.array_types import Float32Array, FloatArray, ImageArray, IntArray
+from pipelines.artifacts.worker_process import die_with_parent, own_output
+from pipelines.reconstruct.colmap_model import PIXEL_CENTRE_SHIFT
+
+CONTRAST = 0.02
+# The second best match is at least so many times as far.
+RATIO = 0.8
+# Features that decide which photos are worth a closer look, and how many photos get it.
+SCOUTS, CLOSER_LOOKS = 256, 12
+# A landmark this far from where it should be, as a share of the image's longer side, is wrong.
+LARGEST_ERROR_SHARE = 0.0125
+SMALLEST_ERROR = 2.0
+RANSAC_TRIALS = 20_000
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the worker is told at its start.
+
+    Attributes:
+        camera_model: COLMAP's name for the camera that is located.
+        width, height: pixels of its images.
+        camera_params: COLMAP's parameters and pixel convention.
+        max_size: features are sought in images reduced to this longer side.
+        max_features: features an image.
+        min_inliers: with fewer features that agree there is no pose.
+        seed: of RANSAC.
+        threads: photos that are compared at the same time; changes no result.
+    """
+
+    camera_model: str
+    width: int
+    height: int
+    camera_params: list[float]
+    max_size: int
+    max_features: int
+    min_inliers: int
+    seed: int
+    threads: int
+
+
+@dataclass(frozen=True)
+class Features:
+    """What stands out in an image, strongest first.
+
+    Attributes:
+        pixels: ``(F, 2)`` of the image in its full size, centres at integers.
+        descriptors: ``(F, 128)`` unit vectors.
+    """
+
+    pixels: FloatArray
+    descriptors: Float32Array
+
+
+@dataclass(frozen=True)
+class MapView:
+    """A photo of the map.
+
+    Attributes:
+        descriptors: ``(F, 128)`` of all its features: those without a place compete as well.
+        landmark: ``(F,)`` row of ``points``, -1 where the place is unknown.
+        points: ``(L, 3)`` world coordinates.
+    """
+
+    descriptors: Float32Array
+    landmark: IntArray
+    points: FloatArray
+
+
+def find_features(grey: ImageArray, max_size: int, max_features: int) -> Features:
+    """The features of an image ``(height, width)``."""
+    height, width = grey.shape
+    scale = min(1.0, max_size / max(height, width))
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA) if scale < 1.0 else grey
+    # Without precise upscaling OpenCV's positions are shifted by a quarter of a pixel.
+    sift = cv2.SIFT.create(
+        nfeatures=max_features, contrastThreshold=CONTRAST, enable_precise_upscale=True
+    )
+    keypoints, descriptors = sift.detectAndCompute(small, None)
+    if len(keypoints) == 0:
+        return Features(np.empty((0, 2)), np.empty((0, 128), dtype=np.float32))
+    order = np.argsort([-keypoint.response for keypoint in keypoints], kind="stable")
+    pixels = np.array([keypoint.pt for keypoint in keypoints], dtype=np.float64)[order]
+    factors = np.array([width / size[0], height / size[1]])
+    shares = descriptors[order] / np.maximum(descriptors[order].sum(axis=1, keepdims=True), 1e-12)
+    return Features((pixels + 0.5) * factors - 0.5, np.sqrt(shares).astype(np.float32))
+
+
+def match(first: Float32Array, second: Float32Array, *, mutual: bool = True) -> IntArray:
+    """Pairs ``(K, 2)`` of rows that match: the best both ways, and clearly so."""
+    if len(first) == 0 or len(second) == 0:
+        return np.empty((0, 2), dtype=np.int64)
+    similarity = first @ second.T  # [F, S]
+    rows = np.arange(len(first))
+    best = similarity.argmax(axis=1)
+    nearest = 1.0 - similarity[rows, best]
+    kept = similarity.argmax(axis=0)[best] == rows if mutual else np.ones(len(first), np.bool_)
+    similarity[rows, best] = -1.0
+    # Squared distances of unit vectors are twice one minus their product.
+    kept &= nearest < RATIO**2 * (1.0 - similarity.max(axis=1))
+    return np.column_stack([rows[kept], best[kept]]).astype(np.int64)
+
+
+class PoseFinder:
+    """Holds the map's landmarks and finds poses by them.
+
+    Args:
+        settings: of the worker.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._views: list[MapView] = []
+
+    def describe(self, grey: ImageArray) -> FloatArray:
+        """Takes one more photo of the map; returns the pixels ``(F, 2)`` of its features."""
+        features = self._features(grey)
+        nowhere = np.full(len(features.pixels), -1, dtype=np.int64)
+        self._views.append(MapView(features.descriptors, nowhere, np.empty((0, 3))))
+        return features.pixels
+
+    def place(self, rows: IntArray, points: FloatArray) -> None:
+        """Says where features ``(L,)`` of the last photo are: ``(L, 3)`` world coordinates."""
+        landmark = self._views[-1].landmark.copy()
+        landmark[rows] = np.arange(len(rows))
+        self._views[-1] = replace(self._views[-1], landmark=landmark, points=points)
+
+    def locate(self, grey: ImageArray) -> dict[str, Any]:
+        """The camera's pose when it took an image ``(height, width)``, as JSON; or the reason."""
+        import pycolmap
+
+        settings = self._settings
+        features = self._features(grey)
+        rows, points = self._landmarks(features)
+        matched = len(np.unique(rows))
+        found = {"matches": matched, "inliers": 0}
+        if matched < settings.min_inliers:
+            return found
+        camera = pycolmap.Camera(
+            model=settings.camera_model,
+            width=settings.width,
+            height=settings.height,
+            params=settings.camera_params,
+        )
+        options = pycolmap.AbsolutePoseEstimationOptions()
+        longer = max(settings.width, settings.height)
+        options.ransac.max_error = max(SMALLEST_ERROR, LARGEST_ERROR_SHARE * longer)
+        options.ransac.max_num_trials = RANSAC_TRIALS
+        options.ransac.random_seed = settings.seed
+        # Several threads would share out the random numbers as it happens.
+        options.ransac.num_threads = 1
+        pixels = features.pixels[rows] + PIXEL_CENTRE_SHIFT
+        answer = pycolmap.estimate_and_refine_absolute_pose(pixels, points, camera, options)
+        if answer is None:
+            return found
+        mask = np.asarray(answer["inlier_mask"], dtype=np.bool_)
+        # A feature that is matched with several photos is still one piece of evidence.
+        found["inliers"] = len(np.unique(rows[mask]))
+        if found["inliers"] < settings.min_inliers:
+            return found
+        camera_from_world = np.asarray(answer["cam_from_world"].matrix(), dtype=np.float64)
+        repeats = int(mask.sum()) / found["inliers"]
+        covariance = repeats * pose_covariance(
+            camera, camera_from_world, pixels[mask], points[mask]
+        )
+        return {
+            **found,
+            "camera_from_world": camera_from_world.tolist(),
+            "covariance": covariance.tolist(),
+        }
+
+    def _features(self, grey: ImageArray) -> Features:
+        return find_features(grey, self._settings.max_size, self._settings.max_features)
+
+    def _landmarks(self, features: Features) -> tuple[IntArray, FloatArray]:
+        """Features that match, ``(K,)`` rows, and where their matches are, ``(K, 3)``."""
+        chosen = self._worth_looking(features)
+        rows, points = [np.empty(0, dtype=np.int64)], [np.empty((0, 3))]
+        with ThreadPoolExecutor(self._settings.threads) as pool:
+            for view, pairs in zip(
+                chosen,
+                pool.map(lambda view: match(features.descriptors, view.descriptors), chosen),
+                strict=True,
+            ):
+                landmark = view.landmark[pairs[:, 1]]
+                rows.append(pairs[landmark >= 0, 0])
+                points.append(view.points[landmark[landmark >= 0]])
+        return np.concatenate(rows), np.concatenate(points)
+
+    def _worth_looking(self, features: Features) -> Sequence[MapView]:
+        """The photos that the strongest features match best."""
+        if len(self._views) <= CLOSER_LOOKS:
+            return self._views
+        scouts = features.descriptors[:SCOUTS]
+        with ThreadPoolExecutor(self._settings.threads) as pool:
+            counts = list(
+                pool.map(
+                    lambda view: len(match(scouts, view.descriptors, mutual=False)), self._views
+                )
+            )
+        best = np.argsort(-np.array(counts), kind="stable")[:CLOSER_LOOKS]
+        return [self._views[index] for index in best]
+
+
+def pose_covariance(
+    camera: Any, camera_from_world: FloatArray, pixels: FloatArray, points: FloatArray
+) -> FloatArray:
+    """Covariance ``(6, 6)`` of a camera's place (metres) and turn (radians), both in world axes.
+
+    That of least squares: the inverse of the normal equations, times the variance of what is left
+    of the reprojection errors. The turn is about the camera's centre.
+
+    Args:
+        camera: pycolmap's.
+        camera_from_world: ``(3, 4)``.
+        pixels: ``(N, 2)``, pycolmap's convention, N at least 4.
+        points: ``(N, 3)`` world coordinates.
+    """
+    rotation, centre = (
+        camera_from_world[:, :3],
+        -camera_from_world[:, :3].T @ camera_from_world[:, 3],
+    )
+    local = (points - centre) @ rotation.T
+    step = 1e-6 * np.maximum(np.abs(local[:, 2:]), 1e-9)
+    slopes = []
+    for axis in np.eye(3):
+        ahead = np.asarray(camera.img_from_cam(local + step * axis), dtype=np.float64)
+        behind = np.asarray(camera.img_from_cam(local - step * axis), dtype=np.float64)
+        slopes.append((ahead - behind) / (2.0 * step))
+    by_point = np.stack(slopes, axis=-1)  # [N, 2, 3]
+    arms = points - centre
+    # When the camera moves, points move the other way; likewise when it turns.
+    turned = np.cross(arms[:, :, None], np.eye(3)[None], axis=1)  # [N, 3, axis of the turn]
+    by_pose = np.concatenate(
+        [np.repeat(-rotation[None], len(points), 0), rotation @ turned], axis=2
+    )
+    jacobian = (by_point @ by_pose).reshape(-1, 6)
+    errors = np.asarray(camera.img_from_cam(local), dtype=np.float64) - pixels
+    variance = float(np.sum(errors**2)) / max(1, 2 * len(points) - 6)
+    return np.asarray(variance * np.linalg.pinv(jacobian.T @ jacobian))
+
+
+def answer_to(finder: PoseFinder, request: dict[str, Any]) -> dict[str, Any]:
+    """What one request leads to."""
+    task = request["do"]
+    if task == "describe":
+        return {"pixels": finder.describe(_decoded(request)).tolist()}
+    if task == "landmarks":
+        points = np.array(request["points"], dtype=np.float64).reshape(-1, 3)
+        finder.place(np.array(request["rows"], dtype=np.int64), points)
+        return {}
+    if task == "locate":
+        return finder.locate(_decoded(request))
+    raise ValueError(f"unknown request {task!r}")
+
+
+def _decoded(request: dict[str, Any]) -> ImageArray:
+    data = np.frombuffer(base64.b64decode(request["image"]), dtype=np.uint8)
+    return data.reshape(request["height"], request["width"])
+
+
+def main(arguments: list[str]) -> None:
+    """Answers requests until the input ends."""
+    die_with_parent()
+    # Whatever a library prints must not mix with the answers.
+    answers = own_output()
+    finder = PoseFinder(Settings(**json.loads(arguments[0])))
+    for line in sys.stdin:
+        answers.write(json.dumps(answer_to(finder, json.loads(line))) + "\n")
+        answers.flush()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
