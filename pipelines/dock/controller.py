@@ -19,6 +19,7 @@ from pipelines.dock.settings import DockSettings
 
 # The drive keeps its heading within this of the goal's.
 WIDEST_VIEW = math.radians(40.0)
+VIEW_SHARES = (1.0, 0.75, 0.5, 0.3)
 # An omni drive that is turned away by more than this turns before it drives.
 TURN_FIRST = math.radians(60.0)
 # Course errors up to this are steered away in an arc; beyond, the robot turns on the spot.
@@ -65,6 +66,7 @@ def diff_movement_to(
     target: FloatArray,
     settings: DockSettings,
     is_allowed: Callable[[FloatArray], bool],
+    sees: Callable[[FloatArray], bool],
 ) -> Movement:
     """The next movement of a differential drive towards a pose, with the goal mostly in view.
 
@@ -73,6 +75,7 @@ def diff_movement_to(
         target: ``(3,)`` where it is to go; its heading is where the goal is seen.
         settings: limits of one movement.
         is_allowed: whether the robot may stand at a state.
+        sees: whether its camera sees enough of the scene there.
     """
     step = settings.largest_step
     heading = -turn_between(state, target)
@@ -84,15 +87,33 @@ def diff_movement_to(
     course = math.atan2(direction * left, direction * ahead)
     if abs(course) <= WIDEST_VIEW:
         return _drive(heading, course, direction * min(step, remaining.distance), settings)
-    diagonal = math.copysign(WIDEST_VIEW, left)
-    forward_leg = _drive(heading, diagonal, step, settings)
-    if abs(heading - diagonal) < ON_DIAGONAL and ahead > NEAR:
+    forwards, backwards = (
+        _widest_seen(state, target, math.copysign(1.0, sign * left), sees) for sign in (1, -1)
+    )
+    if forwards == backwards == 0.0:
+        # Nothing is to be seen on either side: as little aside as still leads there.
+        forwards = math.copysign(VIEW_SHARES[-1] * WIDEST_VIEW, left)
+        backwards = -forwards
+    forward_leg = _drive(heading, forwards, step, settings)
+    may_drive_on = ahead > NEAR and forwards != 0.0
+    if abs(heading - forwards) < ON_DIAGONAL and may_drive_on:
         return forward_leg
-    backward = (-step * math.cos(diagonal), step * math.sin(diagonal))
-    behind = np.array([*_displaced(state, target, *backward), target[2] - diagonal])
-    if is_allowed(behind) or ahead <= NEAR:
-        return _drive(heading, -diagonal, -step, settings)
-    return forward_leg
+    displacement = (-step * math.cos(backwards), -step * math.sin(backwards))
+    behind = np.array([*_displaced(state, target, *displacement), target[2] + backwards])
+    if may_drive_on and not (is_allowed(behind) and backwards != 0.0):
+        return forward_leg
+    return _drive(heading, backwards, -step, settings)
+
+
+def _widest_seen(
+    state: FloatArray, target: FloatArray, sign: float, sees: Callable[[FloatArray], bool]
+) -> float:
+    """The course on one side of the target's heading, as wide as the scene stays in view."""
+    for share in VIEW_SHARES:
+        course = sign * share * WIDEST_VIEW
+        if sees(np.array([state[0], state[1], target[2] + course])):
+            return course
+    return 0.0
 
 
 def diff_movement_along(state: FloatArray, goal: FloatArray, settings: DockSettings) -> Movement:

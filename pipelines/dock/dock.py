@@ -11,6 +11,7 @@ import numpy as np
 
 from pipelines.artifacts.array_types import FloatArray, ImageArray
 from pipelines.artifacts.errors import LfnavError, OptionError
+from pipelines.dock.alignment import FineAlignment
 from pipelines.dock.blockage import Moment, moment_of, stood_still
 from pipelines.dock.clearance import Clearance
 from pipelines.dock.exploration import Explorer
@@ -22,6 +23,7 @@ from pipelines.dock.pilot import Memory, Phase, Pilot
 from pipelines.dock.robot import STANDSTILL, CheckedRobot, Movement, RobotError
 from pipelines.dock.safety import Safety
 from pipelines.dock.settings import DockSettings
+from pipelines.dock.smoothing import Smoother
 from pipelines.geometry.camera import Undistorter
 from pipelines.lightfield.proxy import Quality, quality_named
 from pipelines.lightfield.renderer import Renderer
@@ -64,12 +66,14 @@ class Equipment:
     Attributes:
         robot: checked.
         localizer: of the robot's camera in the scene.
+        alignment: makes its estimates finer.
         pilot: with goal and bounds.
         settings: of the docking.
     """
 
     robot: CheckedRobot
     localizer: Localizer
+    alignment: FineAlignment
     pilot: Pilot
     settings: DockSettings
 
@@ -113,7 +117,9 @@ def equipment_of(
     localizer = Localizer(scene, robot.camera, robot.base_from_camera, chosen, rng, renderer)
     intrinsics = Undistorter(robot.camera).intrinsics
     explorer = Explorer(renderer, robot.base_from_camera, intrinsics, safety)
-    return Equipment(robot, localizer, Pilot(goal, settings, safety, explorer), settings)
+    alignment = FineAlignment(scene, robot.camera, robot.base_from_camera, chosen)
+    pilot = Pilot(goal, settings, safety, explorer)
+    return Equipment(robot, localizer, alignment, pilot, settings)
 
 
 def dock(equipment: Equipment, listener: Listener) -> Docking:
@@ -156,11 +162,13 @@ class _Loop:
     def __init__(self, equipment: Equipment, listener: Listener) -> None:
         self._robot = equipment.robot
         self._localizer = equipment.localizer
+        self._alignment = equipment.alignment
         self._pilot = equipment.pilot
         self._settings = equipment.settings
         self._listener = listener
         self._entries: list[Entry] = []
         self._memory = Memory()
+        self._smoother = Smoother()
         self._began = time.monotonic()
         self._filter_seconds = 0.0
 
@@ -173,7 +181,7 @@ class _Loop:
             image = self._robot.take_image()
             true_state = self._robot.true_state()
             frame = self._localized(image, measured, spent)
-            fix = fix_of(frame)
+            frame, fix = self._fixed(frame, image, measured)
             now = moment_of(image, fix)
             still = before is not None and stood_still(command, measured, before, now)
             decision = self._pilot.decide(self._memory, fix, still, measured)
@@ -221,6 +229,20 @@ class _Loop:
         self._filter_seconds += time.monotonic() - start
         took = self._robot.seconds - spent
         return replace(frame, seconds={**frame.seconds, "robot": took})
+
+    def _fixed(
+        self, frame: FrameRecord, image: ImageArray, measured: Movement
+    ) -> tuple[FrameRecord, Fix]:
+        """The frame with the estimate ``docking``, the fix that the pilot acts on."""
+        start = time.monotonic()
+        fix = self._smoother(self._alignment(fix_of(frame), image), measured)
+        took = time.monotonic() - start
+        self._filter_seconds += took
+        estimates = dict(frame.estimates)
+        if fix.is_sure:
+            estimates["docking"] = fix.state
+        seconds = {**frame.seconds, "alignment": took}
+        return replace(frame, estimates=estimates, seconds=seconds), fix
 
     def _exhausted(self) -> Outcome | None:
         settings = self._settings

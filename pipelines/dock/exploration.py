@@ -32,6 +32,8 @@ LEAST_SHARE, MOST_PLACES = 0.05, 6
 WIDTH = 20
 # An expected view that the scene does not show is worth as much disagreement as this, grey levels.
 UNCOVERED_DIFFERENCE = 20.0
+# A view that shows less of the scene than this is none to steer by.
+ENOUGH_COVERED = 0.6
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,12 @@ class Explorer:
         values = [self._disagreement(modes, turn) - 1e-3 * abs(turn) for turn in options]
         turn = options[0] if values[0] >= values[1] else options[1]
         return Movement(turn=math.copysign(min(abs(turn), largest_turn), turn)), search
+
+    def sees(self, state: FloatArray) -> bool:
+        """Whether the scene fills most of what the camera sees at a state ``(3,)``."""
+        poses = (PLANAR.poses(state) @ self._base_from_camera)[None]
+        _, covered = self._renderer.render_many(poses, self._intrinsics)
+        return bool(covered.mean() >= ENOUGH_COVERED)
 
     @staticmethod
     def _unseen(search: Search, sign: int) -> float:

@@ -37,9 +37,9 @@ from pipelines.dock.settings import DockSettings
 
 # The belief has to be narrow in so many images running before the robot drives by it.
 SURE_IMAGES = 3
-# So many images running that show nothing, movements that did not happen, movements that were not
-# allowed, steps of a search: then there is no point in going on.
-LARGEST_BLIND, LARGEST_STILL, LARGEST_REFUSED, LARGEST_SEARCH = 14, 3, 4, 40
+# So many images running that show nothing (all round), movements that did not happen, movements
+# that were not allowed: then there is no point in going on.
+LARGEST_BLIND, LARGEST_STILL, LARGEST_REFUSED = 14, 3, 4
 # At the staging pose: metres and radians.
 STAGED_POSITION, STAGED_HEADING = 0.1, 0.1
 # From here on the robot aligns itself, metres.
@@ -146,7 +146,7 @@ class Pilot:
         if outcome is not None:
             return Decision(replace(seen, phase=Phase.FINISHED), outcome=outcome)
         if not fix.is_sure or (memory.phase is Phase.SEARCHING and seen.sure_images < SURE_IMAGES):
-            return self._searching(seen, fix)
+            return self._searching(seen, fix, measured)
         return self._underway(replace(seen, search=Search()), fix)
 
     def _hopeless(self, memory: Memory, fix: Fix) -> Outcome | None:
@@ -160,7 +160,7 @@ class Pilot:
             return Outcome(
                 Ending.LOST, f"the last {memory.blind_images} camera images show nothing"
             )
-        if memory.search.steps >= LARGEST_SEARCH:
+        if memory.search.steps >= self.settings.max_search:
             return Outcome(
                 Ending.LOST,
                 f"the robot looked round for {memory.search.steps} steps and was not found",
@@ -174,13 +174,15 @@ class Pilot:
             )
         return None
 
-    def _searching(self, memory: Memory, fix: Fix) -> Decision:
-        """Looks round; stands still where a few more images may settle it."""
+    def _searching(self, memory: Memory, fix: Fix, measured: Movement) -> Decision:
+        """Looks round, but first back to where the view was lost from."""
         movement, search = self._explorer.movement(
             memory.search, fix.modes, self.settings.largest_turn
         )
         if fix.is_sure:
             movement = self._trial(fix, memory.search)
+        elif memory.phase is not Phase.SEARCHING and abs(measured.turn) > SMALLEST_TRIAL:
+            movement = Movement(turn=-measured.turn)
         again = replace(
             memory, phase=Phase.SEARCHING, search=search, alignment_steps=0, docked_images=0
         )
@@ -235,7 +237,9 @@ class Pilot:
         if settings.drive == "omni":
             step = nearing(distance_between(fix.state, self.staging), settings)
             return omni_movement(fix.state, self.staging, step, settings.largest_turn)
-        return diff_movement_to(fix.state, self.staging, settings, self._safety.is_allowed)
+        return diff_movement_to(
+            fix.state, self.staging, settings, self._safety.is_allowed, self._explorer.sees
+        )
 
     def _towards_goal(self, fix: Fix) -> Movement:
         settings = self.settings

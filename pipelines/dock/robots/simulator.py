@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from pipelines.artifacts.array_types import Float32Array, FloatArray, ImageArray
 from pipelines.artifacts.errors import InputError, OptionError, StageError
 from pipelines.dock.robot import Movement
 from pipelines.dock.robots.actuation import SimulatedMotion
-from pipelines.dock.robots.denoising import Features, denoised
 from pipelines.dock.robots.sensor import SensorNoise, as_recorded
 from pipelines.geometry.camera import Camera, Intrinsics
 from pipelines.geometry.pose import world_from_base_planar
@@ -25,8 +25,8 @@ INSTALL = "pip install 'lfnav[sim]'"
 CAMERA_FROM_MITSUBA = np.diag([-1.0, -1.0, 1.0, 1.0])
 # Radiance beyond this is a firefly of the path tracer, not a lamp.
 LARGEST_RADIANCE = 30.0
-# Besides the radiance: colour, shape and place of what each pixel shows.
-FEATURES = "albedo:albedo,normal:sh_normal,depth:depth"
+# Strength, patch and window of the non-local means that stand for the camera's own noise reduction.
+DENOISING, PATCH, WINDOW = 12.0, 3, 11
 
 
 @dataclass(frozen=True)
@@ -85,30 +85,22 @@ class SimulatorRobot:
         self.base_from_camera = base_from_camera
         self._mitsuba = imported_mitsuba()
         self._scene = _loaded(self._mitsuba, path)
-        self._integrator = self._mitsuba.load_dict(
-            {"type": "aov", "aovs": FEATURES, "light": self._scene.integrator()}
-        )
         self._motion, self._sensor, self._tracing, self._rng = motion, sensor, tracing, rng
 
     def take_image(self) -> ImageArray:
         """The view at the true pose."""
         pose = world_from_base_planar(self._motion.state) @ self.base_from_camera
         sensor = _sensor(self._mitsuba, pose, self.camera.intrinsics, self._tracing.samples)
-        layers = np.asarray(
-            self._mitsuba.render(
-                self._scene,
-                sensor=sensor,
-                integrator=self._integrator,
-                spp=self._tracing.samples,
-                seed=int(self._rng.integers(2**31)),
-            ),
-            dtype=np.float32,
+        rendered = self._mitsuba.render(
+            self._scene,
+            sensor=sensor,
+            spp=self._tracing.samples,
+            seed=int(self._rng.integers(2**31)),
         )
-        radiance = np.clip(np.nan_to_num(layers[..., :3]), 0.0, LARGEST_RADIANCE)
+        image = developed(np.asarray(rendered, dtype=np.float32)[..., :3])
         if self._tracing.denoise:
-            albedo, normal, depth = layers[..., 3:6], layers[..., 6:9], layers[..., 9]
-            radiance = denoised(radiance, Features(albedo, normal, depth))
-        return as_recorded(developed(radiance), self._sensor, self._rng)
+            image = _denoised(image)
+        return as_recorded(image, self._sensor, self._rng)
 
     def move(self, forward: float, left: float, turn: float) -> tuple[float, float, float]:
         """See ``Robot.move``."""
@@ -148,12 +140,17 @@ def developed(radiance: Float32Array) -> ImageArray:
     x = L (1 + L / 9) / (1 + L) * 1.35 (Reinhard et al. 2002, equation 4, white point 3), clipped,
     then the sRGB curve.
     """
-    light = radiance.astype(np.float64)
+    light = np.clip(np.nan_to_num(radiance.astype(np.float64)), 0.0, LARGEST_RADIANCE)
     linear = np.clip(light * (1.0 + light / 9.0) / (1.0 + light) * 1.35, 0.0, 1.0)
     curved = np.where(
         linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055
     )
     return np.asarray(np.rint(255.0 * curved), dtype=np.uint8)
+
+
+def _denoised(image: ImageArray) -> ImageArray:
+    smooth = cv2.fastNlMeansDenoisingColored(image, None, DENOISING, DENOISING, PATCH, WINDOW)
+    return np.asarray(smooth, dtype=np.uint8)
 
 
 def _loaded(mitsuba: Any, path: Path) -> Any:
