@@ -20,6 +20,7 @@ COMMANDS = {
     "dock": "Drives a robot to a place by what its camera sees.",
     "evaluate": "Errors of a run against ground truth.",
     "report": "A page with figures that shows how a run went.",
+    "sweep": "Many runs with other seeds and settings, one table.",
     "export": "A run as TUM, KITTI, EuRoC, CSV or JSON; a scene model as a COLMAP project.",
     "info": "What a file or folder made by lfnav, or a data set, contains.",
 }

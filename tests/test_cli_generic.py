@@ -29,6 +29,7 @@ INPUT_IS_MISSING = {
     "dock": ["missing", "-o", "output", "--robot", "model:missing", "--goal", "0,0,0"],
     "evaluate": ["missing"],
     "report": ["missing", "-o", "output"],
+    "sweep": ["missing", "-o", "output"],
     "export": ["missing", "-o", "output", "--format", "tum"],
     "info": ["missing"],
 }

@@ -1,0 +1,81 @@
+"""``lfnav sweep``: many runs, one table."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from lfnav_cli.common import common_options, json_option, overwrite_option, print_summary
+
+if TYPE_CHECKING:
+    from pipelines.artifacts.progress import Progress
+
+
+@click.command("sweep")
+@click.argument("config", metavar="CONFIG.toml", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    metavar="DIR",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="Folder to write; one of an earlier sweep is continued.",
+)
+@click.option("--seeds", metavar="A-B|N,N,...", help="Instead of the seeds in the config.")
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Dask scheduler to run on, like tcp://host:8786; needs lfnav[cluster]. Its workers need "
+    "the same files under the same paths.",
+)
+@click.option(
+    "--processes",
+    type=int,
+    help="On this machine, with one thread each. Default: one a processor.",
+)
+@overwrite_option
+@json_option
+@common_options
+def command(
+    config: Path,
+    output: Path,
+    seeds: str | None,
+    scheduler: str | None,
+    processes: int | None,
+    overwrite: bool,
+    as_json: bool,
+    progress: "Progress",
+) -> None:
+    """Localize with many seeds and settings; write one table and figures.
+
+    CONFIG.toml names data sets with ground truth, seeds, and the settings to try. DIR gets
+    table.csv, table.json, table.md and figures: success rates, errors, frames until converged,
+    seconds a frame.
+
+    Finished runs are kept in DIR/runs: after Ctrl-C the same command goes on where it
+    stopped, and with more seeds or settings it makes what is missing; with --overwrite everything
+    anew. A run that breaks is reported and does not stop the others.
+
+    \b
+    Example:
+      lfnav sweep experiments/sweeps/strategies.toml -o out/strategies
+      lfnav sweep sweep.toml -o out/sweep --seeds 0-99
+      lfnav sweep sweep.toml -o out/sweep --scheduler tcp://10.0.0.1:8786
+    """
+    from pipelines.experiments.sweep import sweep
+
+    summary = sweep(
+        config,
+        output,
+        seeds=seeds,
+        scheduler=scheduler,
+        processes=processes,
+        overwrite=overwrite,
+        progress=progress,
+    )
+    print_summary(summary, as_json)
+    if summary.failures:
+        raise click.ClickException(
+            f"{len(summary.failures)} of {summary.runs} runs broke, see {output / 'table.md'}; "
+            "the same command tries them again"
+        )

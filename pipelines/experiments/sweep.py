@@ -1,0 +1,165 @@
+"""The stage ``sweep``: many runs of the filter, one table, and figures."""
+
+import logging
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pipelines.artifacts.atomic import check_output, write_text
+from pipelines.artifacts.errors import OptionError
+from pipelines.artifacts.file_content import read_text_file
+from pipelines.artifacts.progress import Progress
+from pipelines.artifacts.toml_file import MAX_TOML_BYTES
+from pipelines.experiments.sweep_config import read_sweep_config
+from pipelines.experiments.sweep_inputs import program_hash
+from pipelines.experiments.sweep_plan import planned_runs
+from pipelines.experiments.sweep_plots import write_plots
+from pipelines.experiments.sweep_run import Outcome, RunResult, SweepRun
+from pipelines.experiments.sweep_store import kept_result, save_result
+from pipelines.experiments.sweep_tables import (
+    Line,
+    as_csv,
+    as_json,
+    as_markdown,
+    lines_of,
+    rows_for_people,
+)
+from pipelines.experiments.sweep_workers import run_locally
+
+# The config of the last sweep into a folder; also tells that the folder is a sweep's.
+CONFIG_COPY = "sweep.toml"
+TABLE = "table"
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class SweepSummary:
+    """A ``Summary`` of a sweep.
+
+    Attributes:
+        output: the folder.
+        lines: of the table.
+        runs: how many there are.
+        kept: how many of them were finished before.
+        failures: of runs that broke, a line each.
+    """
+
+    output: Path
+    lines: tuple[Line, ...]
+    runs: int
+    kept: int
+    failures: tuple[str, ...]
+
+    def table(self) -> list[tuple[str, ...]]:
+        """Rows for people."""
+        return rows_for_people(self.lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The same for programs, with all figures."""
+        return {
+            "output": str(self.output),
+            "runs": self.runs,
+            "finished_before": self.kept,
+            "failures": list(self.failures),
+            "lines": [line.to_dict() for line in self.lines],
+        }
+
+
+def sweep(
+    config_path: Path,
+    output: Path,
+    *,
+    seeds: str | None,
+    scheduler: str | None,
+    processes: int | None,
+    overwrite: bool,
+    progress: Progress,
+) -> SweepSummary:
+    """Makes all runs of a config that are not finished yet, and tables and figures of all of them.
+
+    Args:
+        config_path: see ``sweep_config``.
+        output: folder; one of an earlier sweep is continued. Gets ``runs/`` with a file for each
+            finished run, ``table.csv``, ``table.json``, ``table.md``, and figures.
+        seeds: takes the place of those in the config.
+        scheduler: address of a Dask scheduler; None: this machine.
+        processes: on this machine; None: one a processor.
+        overwrite: whether to make finished runs anew.
+        progress: told how far the work is.
+
+    Raises:
+        InputError: the config, a scene or a data set cannot be used, or the output not be written.
+        OptionError: no processes, no such seeds, or no scheduler there.
+    """
+    if processes is not None and processes < 1:
+        raise OptionError(f"{processes} processes cannot do any work; give at least 1")
+    config = read_sweep_config(config_path, seeds)
+    check_output(output, overwrite=True, marker=CONFIG_COPY)
+    runs = planned_runs(config, progress)
+    text = read_text_file(config_path, MAX_TOML_BYTES)
+    write_text(output / CONFIG_COPY, text, overwrite=True)
+    program = program_hash()
+    found = {} if overwrite else _kept(output, runs, program)
+    results = dict(found)
+    failures = []
+    missing = [run for run in runs if run.key not in found]
+    outcomes = _outcomes(missing, scheduler, processes)
+    for run, outcome in progress(outcomes, "runs", len(missing)):
+        if outcome.result is not None:
+            save_result(output, run, outcome.result, program)
+            results[run.key] = outcome.result
+        else:
+            failures.append(f"{_name(run)}: {outcome.failure}")
+            _log.warning("a run broke: %s", failures[-1])
+    lines = lines_of((run.setup, results.get(run.key)) for run in runs)
+    _write(output, lines, failures)
+    return SweepSummary(output, lines, len(runs), len(found), tuple(failures))
+
+
+def _kept(output: Path, runs: Sequence[SweepRun], program: str) -> dict[str, RunResult]:
+    """Results of runs that were finished before; says when another program made them."""
+    found = ((run.key, kept_result(output, run)) for run in runs)
+    kept = {key: item for key, item in found if item is not None}
+    others = sum(item.program != program for item in kept.values())
+    if others:
+        # Not made anew by itself: an edit of a comment would cost hours.
+        text = "%s: %d of %d finished runs were made by another version of the program; "
+        _log.warning(text + "--overwrite makes all runs anew", output, others, len(kept))
+    return {key: item.result for key, item in kept.items()}
+
+
+def _outcomes(
+    runs: Sequence[SweepRun], scheduler: str | None, processes: int | None
+) -> Iterator[tuple[SweepRun, Outcome]]:
+    """Makes the runs, wherever that is to be done.
+
+    Raises:
+        OptionError: Dask is not installed, or no scheduler answers.
+    """
+    if scheduler is None:
+        return run_locally(runs, processes or len(os.sched_getaffinity(0)))
+    try:
+        from pipelines.experiments.sweep_cluster import run_on_cluster
+    except ImportError as error:
+        raise OptionError(
+            f"--scheduler needs Dask ({error}); pip install 'lfnav[cluster]' brings it"
+        ) from error
+    return run_on_cluster(runs, scheduler)
+
+
+def _write(output: Path, lines: Sequence[Line], failures: Sequence[str]) -> None:
+    """Tables and figures; each file is there whole or not at all."""
+    write_text(output / f"{TABLE}.csv", as_csv(lines), overwrite=True)
+    write_text(output / f"{TABLE}.json", as_json(lines, failures), overwrite=True)
+    write_plots(output, lines)
+    # Last, since make takes it for the sign that all is done.
+    write_text(output / f"{TABLE}.md", as_markdown(lines, failures), overwrite=True)
+
+
+def _name(run: SweepRun) -> str:
+    setup = run.setup
+    parts = (setup.dataset, setup.odometry, setup.strategy, setup.likelihood)
+    return f"{', '.join(parts)}, {setup.particles} particles, seed {run.seed}"

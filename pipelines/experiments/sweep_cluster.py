@@ -1,0 +1,74 @@
+"""Runs of a sweep on a Dask cluster.
+
+The cluster's workers need lfnav, and the scenes and data sets under the same paths. Results travel
+back by the network and are kept where the sweep was started.
+"""
+
+import logging
+from collections.abc import Iterator, Sequence
+
+from distributed import Client, Future, Worker, WorkerPlugin, as_completed, get_worker
+
+from pipelines.artifacts.errors import OptionError
+from pipelines.experiments.sweep_run import Bench, Outcome, SweepRun
+
+PLUGIN = "lfnav-sweep"
+CONNECT_SECONDS = 15
+
+_log = logging.getLogger(__name__)
+
+
+class BenchPlugin(WorkerPlugin):  # type: ignore[misc]
+    """Keeps loaded scenes on a worker from one run to the next."""
+
+    def setup(self, worker: Worker) -> None:
+        """Called on each worker when it gets the plugin."""
+        self.bench = Bench()
+
+
+def run_on_cluster(runs: Sequence[SweepRun], address: str) -> Iterator[tuple[SweepRun, Outcome]]:
+    """Makes runs on the workers of a cluster.
+
+    Args:
+        runs: what to make.
+        address: the scheduler's, ``tcp://host:8786``.
+
+    Yields:
+        Each run with its outcome, in the order in which they end. Closing the iterator withdraws
+        those that are left.
+
+    Raises:
+        OptionError: no scheduler answers there.
+    """
+    try:
+        client = Client(address, timeout=CONNECT_SECONDS)
+    except (OSError, ValueError) as error:
+        raise OptionError(f"no Dask scheduler answers at {address} ({error})") from error
+    with client:
+        client.register_plugin(BenchPlugin(), name=PLUGIN)
+        if not client.scheduler_info()["workers"]:
+            _log.warning("the cluster at %s has no workers yet; waiting for them", address)
+        futures = {client.submit(_outcome, run, pure=False): run for run in runs}
+        try:
+            for future in as_completed(futures):
+                run = futures.pop(future)
+                yield run, _outcome_of(future)
+        finally:
+            client.cancel(list(futures))
+
+
+def _outcome(run: SweepRun) -> Outcome:
+    """What a worker does for a run."""
+    plugin = get_worker().plugins[PLUGIN]
+    if not isinstance(plugin, BenchPlugin):
+        return Outcome(None, f"the worker has another plugin named {PLUGIN}")
+    return plugin.bench.outcome(run)
+
+
+def _outcome_of(future: Future) -> Outcome:
+    """What came back; a worker that died, or knows no lfnav, makes a run fail."""
+    error = future.exception()
+    if error is not None:
+        return Outcome(None, f"{type(error).__name__}: {' '.join(str(error).split())}")
+    result: Outcome = future.result()
+    return result

@@ -1,0 +1,55 @@
+"""Hashes of what goes into a run: a result is kept for this content, wherever it lies."""
+
+import hashlib
+from pathlib import Path
+
+from pipelines.artifacts.errors import InputError
+from pipelines.artifacts.provenance import sha256_of_file
+from pipelines.dataset.dataset import (
+    CAMERA_FILE,
+    GROUNDTRUTH_FILE,
+    IMAGE_LIST,
+    ODOMETRY_FILE,
+    Dataset,
+)
+
+# Packages whose code decides what a run comes to.
+PROGRAM = ("artifacts", "geometry", "dataset", "lightfield", "localize")
+
+
+def program_hash() -> str:
+    """SHA-256 of the source code that makes a run, edits of comments included."""
+    digest = hashlib.sha256()
+    root = Path(__file__).parents[1]
+    for path in sorted(path for name in PROGRAM for path in (root / name).rglob("*.py")):
+        digest.update(f"{path.relative_to(root)} {sha256_of_file(path)}\n".encode())
+    return digest.hexdigest()
+
+
+def scene_hash(path: Path) -> str:
+    """SHA-256 of a scene model."""
+    return sha256_of_file(path)
+
+
+def dataset_hash(dataset: Dataset) -> str:
+    """SHA-256 of a data set without its odometry: lists, camera, truth, and all images."""
+    digest = hashlib.sha256()
+    for name in (IMAGE_LIST, CAMERA_FILE, GROUNDTRUTH_FILE, *dataset.image_names):
+        if (dataset.root / name).is_file():
+            digest.update(f"{name} {sha256_of_file(dataset.root / name)}\n".encode())
+    return digest.hexdigest()
+
+
+def odometry_hash(dataset: Path, odometry: Path | None) -> str:
+    """SHA-256 of an odometry file; None: of the data set's own."""
+    return sha256_of_file(odometry if odometry is not None else dataset / ODOMETRY_FILE)
+
+
+def check_unchanged(path: Path, found: str, planned: str | None) -> None:
+    """Refuses an input that is not the one that the sweep was planned with.
+
+    Raises:
+        InputError: it has changed meanwhile, or another one lies under that path on this machine.
+    """
+    if found != planned:
+        raise InputError(path, "is not what it was when the sweep began", "start the sweep again")

@@ -1,0 +1,100 @@
+"""From the config of a sweep to its runs, each with a key that stands for all that goes into it."""
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+
+from pipelines.artifacts.errors import InputError
+from pipelines.artifacts.progress import Progress
+from pipelines.artifacts.provenance import sha256_of_bytes, version_of
+from pipelines.dataset.dataset import GROUNDTRUTH_FILE, ODOMETRY_FILE, Dataset, load_dataset
+from pipelines.experiments.sweep_config import SweepConfig, SweepDataset
+from pipelines.experiments.sweep_inputs import dataset_hash, odometry_hash, scene_hash
+from pipelines.experiments.sweep_run import Setup, SweepRun
+from pipelines.lightfield.bundle import load_scene
+from pipelines.localize.settings import LocalizerSettings
+
+# Raise it when results that were kept are no longer what would be computed now.
+RESULTS_VERSION = 1
+
+
+def planned_runs(config: SweepConfig, progress: Progress) -> tuple[SweepRun, ...]:
+    """All runs, those of a line of the table next to each other.
+
+    Raises:
+        InputError: a scene or a data set cannot be used, or has no ground truth.
+    """
+    runs: list[SweepRun] = []
+    for dataset in progress(config.datasets, "inputs", len(config.datasets)):
+        # Whatever would fail in every run fails now.
+        load_scene(dataset.scene)
+        hashes = {"scene": scene_hash(dataset.scene)}
+        for odometry in dataset.odometry:
+            loaded = _checked_dataset(dataset, odometry)
+            if "dataset" not in hashes:
+                hashes["dataset"] = dataset_hash(loaded)
+            inputs = dict(hashes)
+            if loaded.odometry is not None:
+                inputs["odometry"] = odometry_hash(dataset.path, odometry)
+            runs += _runs(config, dataset, odometry, inputs)
+    return tuple(runs)
+
+
+def _checked_dataset(dataset: SweepDataset, odometry: Path | None) -> Dataset:
+    loaded = load_dataset(dataset.path, odometry=odometry)
+    if loaded.groundtruth is None:
+        raise InputError(
+            dataset.path / GROUNDTRUTH_FILE, "is missing: a sweep judges its runs by the truth"
+        )
+    return loaded
+
+
+def _runs(
+    config: SweepConfig, dataset: SweepDataset, odometry: Path | None, inputs: Mapping[str, str]
+) -> Iterator[SweepRun]:
+    for chosen, seed in product(config.settings, config.seeds):
+        # There is a process for each processor; the number of threads changes no result.
+        settings = replace(chosen, threads=1)
+        yield SweepRun(
+            setup=_setup(dataset, odometry, settings, inputs),
+            scene=dataset.scene,
+            dataset=dataset.path,
+            odometry=odometry,
+            settings=settings,
+            seed=seed,
+            inputs=inputs,
+            key=run_key(settings, seed, inputs),
+        )
+
+
+def run_key(settings: LocalizerSettings, seed: int, inputs: Mapping[str, str]) -> str:
+    """SHA-256 of everything that a run's result depends on, but for edits of the program."""
+    content = {
+        "results": RESULTS_VERSION,
+        "lfnav": version_of("lfnav"),
+        "settings": settings.to_dict(),
+        "seed": seed,
+        "inputs": dict(inputs),
+    }
+    return sha256_of_bytes(json.dumps(content, sort_keys=True).encode("utf-8"))
+
+
+def _setup(
+    dataset: SweepDataset,
+    odometry: Path | None,
+    settings: LocalizerSettings,
+    inputs: Mapping[str, str],
+) -> Setup:
+    if odometry is not None:
+        name = odometry.name
+    else:
+        name = ODOMETRY_FILE if "odometry" in inputs else "none"
+    return Setup(
+        dataset=dataset.name,
+        odometry=name,
+        strategy=settings.strategy,
+        likelihood=settings.likelihood.cost.name.lower(),
+        particles=settings.particles,
+    )

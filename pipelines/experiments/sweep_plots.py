@@ -1,0 +1,175 @@
+"""Figures of a sweep: a measure over the number of particles, a panel a data set and odometry."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.markers import CARETUP
+
+from pipelines.experiments.sweep_tables import Line
+
+# Colours of Okabe and Ito (2008), and markers for print in grey.
+SERIES_STYLES = (
+    ("#0072B2", "o"),
+    ("#D55E00", "s"),
+    ("#009E73", "^"),
+    ("#CC79A7", "D"),
+    ("#E69F00", "v"),
+    ("#56B4E9", "P"),
+    ("#000000", "X"),
+)
+# All series together take so much of the room between two numbers of particles.
+SPREAD = 0.5
+PANEL_WIDTH, PANEL_HEIGHT, PANELS_A_ROW = 3.6, 2.9, 4
+
+Span = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Plot:
+    """A figure.
+
+    Attributes:
+        name: of its file, without suffix.
+        label: of the axis.
+        span: low, middle and high value of a line.
+        is_logarithmic: whether the axis is.
+        top: end of the axis, or None for what fits.
+    """
+
+    name: str
+    label: str
+    span: Callable[[Line], Span]
+    is_logarithmic: bool = False
+    top: float | None = None
+
+
+def _quantiles(measure: str, factor: float = 1.0) -> Callable[[Line], Span]:
+    def span(line: Line) -> Span:
+        low, middle, high = (factor * line.quantile(measure, share) for share in (0.1, 0.5, 0.9))
+        return low, middle, high
+
+    return span
+
+
+def _success(line: Line) -> Span:
+    low, high = line.interval
+    return 100.0 * low, 100.0 * line.success_rate, 100.0 * high
+
+
+PLOTS = (
+    Plot("success", "runs that succeed (%)\nwith 95 % interval", _success, top=103.0),
+    Plot(
+        "position-error",
+        "position error (cm)\nmedian, 10 to 90 % of runs",
+        _quantiles("position_error_m", 100.0),
+        is_logarithmic=True,
+    ),
+    Plot(
+        "heading-error",
+        "heading error (deg)\nmedian, 10 to 90 % of runs",
+        _quantiles("heading_error_deg"),
+        is_logarithmic=True,
+    ),
+    Plot(
+        "convergence",
+        "frames until converged\nmedian, 10 to 90 % of runs",
+        _quantiles("frames_until_converged"),
+    ),
+    Plot(
+        "seconds",
+        "seconds a frame, one thread\nmedian, 10 to 90 % of runs",
+        _quantiles("seconds_per_frame"),
+        is_logarithmic=True,
+    ),
+)
+
+
+def write_plots(folder: Path, lines: Sequence[Line]) -> None:
+    """Writes a PNG for each of ``PLOTS`` into a folder."""
+    # Names come from other people's files: "$" must not start a formula there.
+    with mpl.rc_context(
+        {"font.family": ["DejaVu Sans"], "font.size": 9.0, "text.parse_math": False}
+    ):
+        for plot in PLOTS:
+            figure_of(plot, lines).savefig(folder / f"{plot.name}.png", dpi=120)
+
+
+def figure_of(plot: Plot, lines: Sequence[Line]) -> Figure:
+    """A measure of all lines.
+
+    What is infinite (runs that never converged, or have no estimate) ends in an arrow at the top.
+    """
+    panels = list(dict.fromkeys(_panel_of(line) for line in lines))
+    columns = min(len(panels), PANELS_A_ROW)
+    rows = math.ceil(len(panels) / columns)
+    size = (PANEL_WIDTH * columns + 0.6, PANEL_HEIGHT * rows + 0.5)
+    figure = Figure(figsize=size, layout="constrained")
+    grid = figure.subplots(rows, columns, sharey=True, squeeze=False)
+    limits = _limits(plot, lines)
+    for axes, panel in zip(grid.flat, panels, strict=False):
+        if plot.is_logarithmic:
+            axes.set_yscale("log")
+        axes.set_ylim(*limits)
+        _draw(axes, plot, panel, lines)
+        axes.set_title("\n".join(panel))
+    for axes in grid.flat[len(panels) :]:
+        axes.remove()
+    for axes in grid[:, 0]:
+        axes.set_ylabel(plot.label)
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
+    return figure
+
+
+def _draw(axes: Axes, plot: Plot, panel: tuple[str, str], lines: Sequence[Line]) -> None:
+    """One panel; all panels have the same series and numbers of particles."""
+    series = list(dict.fromkeys(_series_of(line) for line in lines))
+    numbers = sorted({line.setup.particles for line in lines})
+    top = axes.get_ylim()[1]
+    for place, name in enumerate(series):
+        colour, marker = SERIES_STYLES[place % len(SERIES_STYLES)]
+        offset = SPREAD * ((place + 0.5) / len(series) - 0.5)
+        own = [line for line in lines if _panel_of(line) == panel and _series_of(line) == name]
+        own.sort(key=lambda line: line.setup.particles)
+        x = np.array([numbers.index(line.setup.particles) + offset for line in own])
+        spans = np.array([plot.span(line) for line in own]).reshape(-1, 3)
+        low, middle, high = np.where(np.isposinf(spans), top, spans).T
+        axes.vlines(x, low, high, color=colour)
+        middle = np.where(np.isposinf(spans[:, 1]), np.nan, middle)
+        axes.plot(x, middle, color=colour, marker=marker, linestyle=":", linewidth=0.8, label=name)
+        for beyond in x[np.isposinf(spans[:, 2])]:
+            axes.plot([beyond], [top], color=colour, marker=CARETUP, linestyle="", clip_on=False)
+    axes.set_xticks(range(len(numbers)), [str(number) for number in numbers])
+    axes.set_xlim(-0.6, len(numbers) - 0.4)
+    axes.set_xlabel("particles")
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(axis="y", linewidth=0.4, alpha=0.6)
+
+
+def _limits(plot: Plot, lines: Sequence[Line]) -> tuple[float, float]:
+    """The axis: all that is finite, and some room."""
+    values = np.array([plot.span(line) for line in lines])
+    known = values[np.isfinite(values)]
+    if plot.is_logarithmic:
+        known = known[known > 0.0]
+        if len(known) == 0:
+            return 0.1, 1.0
+        return float(known.min()) / 1.4, 1.4 * float(known.max())
+    highest = max(float(known.max(initial=0.0)), 1.0)
+    top = plot.top or 1.1 * highest
+    # Room for markers at zero.
+    return -0.03 * top, top
+
+
+def _panel_of(line: Line) -> tuple[str, str]:
+    return line.setup.dataset, line.setup.odometry
+
+
+def _series_of(line: Line) -> str:
+    return f"{line.setup.strategy}, {line.setup.likelihood}"
