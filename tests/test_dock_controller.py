@@ -33,7 +33,7 @@ starts = st.tuples(st.floats(-3.0, 2.0), st.floats(-5.0, -2.5), st.floats(-math.
 
 
 def in_area(state: FloatArray) -> bool:
-    return AREA[0] < state[0] < AREA[1] and AREA[2] < state[1] < AREA[3]
+    return bool(AREA[0] < state[0] < AREA[1] and AREA[2] < state[1] < AREA[3])
 
 
 def check_limits(movement: Movement, chosen: DockSettings) -> None:
