@@ -218,6 +218,20 @@ def test_estimates_of_lost_frames_are_nan_and_unknown_names_refused() -> None:
         run.estimated_states("best")
 
 
+def test_the_mode_stands_in_for_a_missing_alignment_and_only_where_nobody_asked_by_name() -> None:
+    states = curved_path(3)
+    run = run_along(states)
+    aligned = replace(
+        run.frames[1], estimates={**run.frames[1].estimates, "refined": states[1] + 0.5}
+    )
+    run = replace(run, frames=(run.frames[0], aligned, run.frames[2]))
+    expected = np.stack([states[0], states[1] + 0.5, states[2]])
+    np.testing.assert_array_equal(run.estimated_states(), expected)
+    asked = run.estimated_states("refined")
+    assert np.isnan(asked[[0, 2]]).all()
+    np.testing.assert_array_equal(asked[1], expected[1])
+
+
 def test_the_estimate_of_the_settings_stands_for_the_run() -> None:
     run = run_along(curved_path(3))
     assert run.default_estimate == "mode"

@@ -23,7 +23,7 @@ from pipelines.localize.consistency import (
     frames_to_recover,
     frames_until_converged,
 )
-from pipelines.localize.run import PNP_ESTIMATE, Run, load_run
+from pipelines.localize.run import PNP_ESTIMATE, STAND_INS, Run, load_run
 from pipelines.localize.state_space import StateSpace
 
 LAST_FRAMES = 5
@@ -160,6 +160,8 @@ class RunEvaluation:
         frames: how many frames have a truth.
         frames_without_groundtruth: how many have none, and count for nothing.
         frames_without_estimate: how many have a truth, but the filter gave no estimate.
+        frames_with_stand_in: how many have a coarser estimate than the one that was judged, which
+            was taken in its place.
         frames_until_converged: how many frames came before the estimate was, and stayed, good
             enough for success; None where it never was.
         frames_to_recover: length of every stretch of worse frames between good ones.
@@ -176,6 +178,7 @@ class RunEvaluation:
     frames: int
     frames_without_groundtruth: int
     frames_without_estimate: int
+    frames_with_stand_in: int
     frames_until_converged: int | None
     frames_to_recover: tuple[int, ...]
     consistency: Consistency | None
@@ -215,6 +218,9 @@ class RunEvaluation:
             rows.append(("frames without an estimate", str(self.frames_without_estimate)))
         if self.pnp is not None:
             rows += self.pnp.rows()
+        if self.frames_with_stand_in:
+            count = str(self.frames_with_stand_in)
+            rows.append((f"frames where {STAND_INS[self.estimate]} stands in", count))
         converged = self.frames_until_converged
         rows.append(("frames until converged", "never" if converged is None else str(converged)))
         if self.frames_to_recover:
@@ -236,6 +242,7 @@ class RunEvaluation:
             "frames": self.frames,
             "frames_without_groundtruth": self.frames_without_groundtruth,
             "frames_without_estimate": self.frames_without_estimate,
+            "frames_with_stand_in": self.frames_with_stand_in,
             "frames_until_converged": self.frames_until_converged,
             "frames_to_recover": list(self.frames_to_recover),
             "consistency": None if self.consistency is None else self.consistency.to_dict(),
@@ -284,8 +291,9 @@ def evaluate_run(
     truth = _true_states(run, groundtruth, run_path, groundtruth_path)
     has_truth = _known(truth)
     name = run.default_estimate if estimate is None else estimate
-    estimated = run.estimated_states(name)
+    estimated = run.estimated_states(estimate)
     has_estimate = _known(estimated)
+    own = np.array([name in frame.estimates for frame in run.frames])
     if not np.any(has_truth & has_estimate):
         raise InputError(run_path, f"no frame with ground truth has an estimate {name!r}")
     odometry = None
@@ -305,6 +313,7 @@ def evaluate_run(
         frames=int(np.count_nonzero(has_truth)),
         frames_without_groundtruth=int(np.count_nonzero(~has_truth)),
         frames_without_estimate=int(np.count_nonzero(has_truth & ~has_estimate)),
+        frames_with_stand_in=int(np.count_nonzero(has_truth & has_estimate & ~own)),
         frames_until_converged=converged,
         frames_to_recover=tuple(frames_to_recover(good[has_truth])),
         # PnP beside the filter has no covariance in the file.

@@ -36,6 +36,8 @@ from pipelines.localize.state_space import StateSpace, state_space_of_dimension
 FORMAT = "lfnav run"
 SCHEMA_VERSION = 2
 STATUSES = ("global", "tracking", "blind", "lost")
+# What an alignment starts from is the answer where there is none: in a search, without an image.
+STAND_INS = {"refined": "mode"}
 # The first of these that the frames have stands for the run where nobody asks for another one.
 ESTIMATE_PREFERENCE = ("refined", "mode", "mean", "max_weight")
 # The pose by features; beside the filter it stands for itself alone, never for the run.
@@ -221,7 +223,8 @@ class Run:
         """``(N, D)`` states of one kind of estimate; NaN in frames where the filter gave none.
 
         Args:
-            estimate: its name; None for ``default_estimate``.
+            estimate: its name; None for ``default_estimate``, for which in frames that lack it the
+                coarser estimate of ``STAND_INS`` is taken.
 
         Raises:
             OptionError: no frame has an estimate of this name.
@@ -232,7 +235,13 @@ class Run:
                 f"the run has no estimate {name!r}; it has {', '.join(self.estimate_names)}"
             )
         missing = np.full(self.space.dimension, np.nan)
-        return np.stack([frame.estimates.get(name, missing) for frame in self.frames])
+        stand_in = STAND_INS.get(name, name) if estimate is None else name
+        return np.stack(
+            [
+                frame.estimates.get(name, frame.estimates.get(stand_in, missing))
+                for frame in self.frames
+            ]
+        )
 
 
 def relative_scene_path(scene_path: Path, run_path: Path) -> str:

@@ -74,7 +74,7 @@ def tracks_of(run: Run, estimate: str | None) -> Tracks:
         name, estimated = "none", np.full((len(run.frames), run.space.dimension), np.nan)
     else:
         name = run.default_estimate if estimate is None else estimate
-        estimated = run.estimated_states(name)
+        estimated = run.estimated_states(estimate)
     truth = run.groundtruth
     if truth is not None and not known_rows(truth).any():
         truth = None
@@ -90,7 +90,7 @@ def tracks_of(run: Run, estimate: str | None) -> Tracks:
         estimated=seen_from_above(run, estimated),
         odometry=None if odometry is None else seen_from_above(run, odometry),
         groundtruth=None if truth is None else seen_from_above(run, truth),
-        evaluation=evaluate_run(run, estimate=name) if comparable else None,
+        evaluation=evaluate_run(run, estimate=estimate) if comparable else None,
         pnp=seen_from_above(run, run.estimated_states(PNP_ESTIMATE)) if has_pnp else None,
     )
 
