@@ -32,7 +32,7 @@ help:
 	@echo "make install      a virtual environment in $(VENV) with lfnav in it"
 	@echo "make demo         the whole chain on a lobby with three equal doors -> $(DEMO)/report/report.html"
 	@echo "make demo-sfm     the same on a workshop, mapped by structure from motion -> $(DEMO_SFM)/report/report.html"
-	@echo "make experiments  many seeds and settings -> out/experiments/table.md; rebuilds only what changed"
+	@echo "make experiments  many seeds and settings -> out/experiments/*/table.md; makes only what is missing"
 	@echo "make test         the test suite; 'make test-slow' runs the slow tests"
 	@echo "make lint         ruff and mypy"
 	@echo "make bench        measures rendering, depth, opening, memory"

@@ -1,33 +1,25 @@
-# Experiments as Make sees them: every artifact is a target, and what it was made from are its
-# prerequisites. A changed image, odometry file or setting rebuilds what follows from it and
-# nothing else. Settings are the command-line options in experiments/settings/, one file a step;
-# lines that begin with # are comments.
+# Experiments: scenes, then sweeps over them, single runs with their reports, and studies.
 #
-#   sample_data/SET/map/* , settings/SET/reconstruct.flags -> out/experiments/SET/map/
-#   map/ , settings/SET/model.flags                        -> out/experiments/SET/scene.h5
-#   scene.h5 , sample_data/SET/test/* , settings/SET/VARIANT.flags
-#                                                          -> out/experiments/SET/VARIANT/seed-N.h5
-#   seed-N.h5                                              -> seed-N.json, and a report of the first
-#   all seed-N.json                                        -> out/experiments/table.md
-#   sample_data/elevators, settings/elevators/doors.toml   -> out/experiments/view-dependence/
+# Scenes, runs and reports are targets whose prerequisites are what they were made from. Sweeps keep
+# their runs themselves, under hashes of everything that went into them: they are always asked, and
+# make what is missing. Options of reconstruct and model stand in experiments/settings/SET/STEP.flags,
+# where lines that begin with # are comments.
+#
+#   sample_data/SET/map/* , settings/SET/*.flags          -> out/experiments/SET/scene.h5
+#   scenes, sample_data/SET/test/*, sweeps/SWEEP.toml     -> out/experiments/SWEEP/table.md
+#   scene of elevators, its test drive                    -> out/experiments/RUN/report/report.html
+#   sample_data/elevators, settings/elevators/doors.toml  -> out/experiments/view-dependence/
 
 EXPERIMENTS := out/experiments
 SETTINGS := experiments/settings
-SEEDS := $(shell grep -v '^\#' $(SETTINGS)/seeds.txt)
 SETS := elevators workshop
-# Variant of the localization -> the odometry that it is given.
-VARIANTS_elevators := odometry odometry_perturbed condensation
-VARIANTS_workshop := odometry odometry_perturbed
-ODOMETRY_odometry := odometry.txt
-ODOMETRY_odometry_perturbed := odometry_perturbed.txt
-ODOMETRY_condensation := odometry.txt
+SWEEPS := strategies particles
+# make experiments SEEDS=0-99: other seeds than those in sweeps/*.toml.
+SEEDS :=
 
 # The options in a settings file, in one line.
 flags = $$(shell grep -v '^\#' $(1) | tr '\n' ' ')
 images = $(sort $(wildcard $(DATA)/$(1)/$(2)/rgb/*)) $(DATA)/$(1)/$(2)/rgb.txt $(DATA)/$(1)/$(2)/camera.toml
-
-EVALUATIONS :=
-REPORTS :=
 
 # $(1): set
 define map_rules
@@ -38,33 +30,30 @@ $(EXPERIMENTS)/$(1)/map/reconstruction.json: $(call images,$(1),map) $(DATA)/$(1
 $(EXPERIMENTS)/$(1)/scene.h5: $(EXPERIMENTS)/$(1)/map/reconstruction.json $(SETTINGS)/$(1)/model.flags | $(STAMP)
 	$$(LFNAV) model $$(<D) -o $$@ $(call flags,$(SETTINGS)/$(1)/model.flags) --overwrite
 endef
+$(foreach set,$(SETS),$(eval $(call map_rules,$(set))))
 
-# $(1): set, $(2): variant, $(3): odometry file
+TABLES := $(SWEEPS:%=$(EXPERIMENTS)/%/table.md)
+$(TABLES): $(EXPERIMENTS)/%/table.md: experiments/sweeps/%.toml $(SETS:%=$(EXPERIMENTS)/%/scene.h5) FORCE | $(STAMP)
+	$(LFNAV) sweep $< -o $(@D) $(if $(SEEDS),--seeds $(SEEDS))
+
+# Figures 6 and 7 of the paper: the particles after the first, the middle and the last step.
+RUNS := figure-6 figure-7
+ODOMETRY_figure-6 := odometry.txt
+ODOMETRY_figure-7 := odometry_perturbed.txt
+REPORTS := $(RUNS:%=$(EXPERIMENTS)/%/report/report.html)
+
+# $(1): run
 define run_rules
-$(EXPERIMENTS)/$(1)/$(2)/seed-%.h5: $(EXPERIMENTS)/$(1)/scene.h5 $(call images,$(1),test) $(3) \
-		$(DATA)/$(1)/test/groundtruth.txt $(SETTINGS)/$(1)/$(2).flags | $(STAMP)
-	$$(LFNAV) localize $$< $(DATA)/$(1)/test -o $$@ --odometry $(3) --seed $$* \
-		$(call flags,$(SETTINGS)/$(1)/$(2).flags) --overwrite
+$(EXPERIMENTS)/$(1)/run.h5: $(EXPERIMENTS)/elevators/scene.h5 $(call images,elevators,test) \
+		$(DATA)/elevators/test/$(ODOMETRY_$(1)) $(DATA)/elevators/test/groundtruth.txt \
+		$(SETTINGS)/elevators/figures.flags | $(STAMP)
+	$$(LFNAV) localize $$< $(DATA)/elevators/test -o $$@ --odometry $(DATA)/elevators/test/$(ODOMETRY_$(1)) \
+		$(call flags,$(SETTINGS)/elevators/figures.flags) --overwrite
 
-EVALUATIONS += $(SEEDS:%=$(EXPERIMENTS)/$(1)/$(2)/seed-%.json)
-REPORTS += $(EXPERIMENTS)/$(1)/$(2)/report/report.html
-
-$(EXPERIMENTS)/$(1)/$(2)/report/report.html: $(EXPERIMENTS)/$(1)/$(2)/seed-$(firstword $(SEEDS)).h5 | $(STAMP)
+$(EXPERIMENTS)/$(1)/report/report.html: $(EXPERIMENTS)/$(1)/run.h5 | $(STAMP)
 	$$(LFNAV) report $$< -o $$(@D) --overwrite
 endef
-
-$(foreach set,$(SETS),$(eval $(call map_rules,$(set))))
-$(foreach set,$(SETS),$(foreach variant,$(VARIANTS_$(set)),$(eval $(call \
-	run_rules,$(set),$(variant),$(DATA)/$(set)/test/$(ODOMETRY_$(variant))))))
-
-# Renamed when complete: a half-written file would pass for a result.
-%.json: %.h5 | $(STAMP)
-	$(LFNAV) evaluate $< --json > $@.part
-	mv $@.part $@
-
-$(EXPERIMENTS)/table.md: $(EVALUATIONS) $(SETTINGS)/seeds.txt experiments/summarize.py | $(STAMP)
-	$(VENV_PYTHON) experiments/summarize.py $(EVALUATIONS) > $@.part
-	mv $@.part $@
+$(foreach run,$(RUNS),$(eval $(call run_rules,$(run))))
 
 # What view-dependent appearance is worth on the doors: a light field with depth at true poses.
 APPEARANCE := $(EXPERIMENTS)/view-dependence
@@ -86,8 +75,18 @@ $(APPEARANCE)/study/table.md: $(APPEARANCE)/scene.h5 $(SETTINGS)/elevators/doors
 # Runs and scenes are results, not stepping stones that may be deleted.
 .SECONDARY:
 
-.PHONY: experiments
-experiments: $(EXPERIMENTS)/table.md $(REPORTS) $(STUDIES)
-	@cat $(EXPERIMENTS)/table.md $(STUDIES)
-	@echo "== Table: $(EXPERIMENTS)/table.md. Reports of seed $(firstword $(SEEDS)):"
+.PHONY: experiments experiment-figures FORCE
+FORCE:
+
+experiments: $(TABLES) $(REPORTS) $(STUDIES)
+	@for table in $(TABLES) $(STUDIES); do echo "== $$table"; cat $$table; done
+	@echo "== Reports of single runs:"
 	@printf '==   %s\n' $(REPORTS)
+
+# The pictures of docs/experiments.md, from the results that lie there.
+experiment-figures:
+	for run in $(RUNS); do $(VENV_PYTHON) -c "import sys; from PIL import Image; \
+		Image.open(sys.argv[1]).convert('RGB').save(sys.argv[2], quality=85)" \
+		$(EXPERIMENTS)/$$run/report/figures/overview.png docs/images/$$run.jpg; done
+	for sweep in $(SWEEPS); do for plot in success position-error convergence seconds; do \
+		cp $(EXPERIMENTS)/$$sweep/$$plot.png docs/images/$$sweep-$$plot.png; done; done

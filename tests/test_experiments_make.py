@@ -13,28 +13,27 @@ from pathlib import Path
 
 import pytest
 
+from pipelines.experiments.sweep_config import read_sweep_config
+
 ROOT = Path(__file__).resolve().parents[1]
 
 # Shell, since starting Python fifty times would be most of the time that these tests take.
 STAND_IN = """#!/bin/sh
 echo "$*" >> calls.log
-if [ "$1" = evaluate ]; then
-    error='{"last5_mean": 0.04}'
-    echo "{\\"success\\": true, \\"position_error_m\\": $error, \\"heading_error_deg\\": $error,"
-    echo "\\"odometry\\": {\\"position_error_m\\": $error}, \\"seconds_per_frame\\": 0.5}"
-    exit
-fi
 command=$1
 while [ "$1" != -o ]; do shift; done
 output=$2
 case $command in
     reconstruct) output=$output/reconstruction.json ;;
     report) output=$output/report.html ;;
-    view-dependence) output=$output/table.md ;;
+    sweep | view-dependence) output=$output/table.md ;;
 esac
 mkdir -p "$(dirname "$output")"
 echo made > "$output"
 """
+
+# Sweeps find out by themselves what is left to do, and are asked each time.
+SWEEPS = ["sweep", "sweep"]
 
 pytestmark = pytest.mark.skipif(shutil.which("make") is None, reason="needs make")
 
@@ -59,7 +58,6 @@ class Workspace:
                 (folder / name).write_text("input")
         self.stand_in.write_text(STAND_IN)
         self.stand_in.chmod(self.stand_in.stat().st_mode | stat.S_IXUSR)
-        (root / "experiments/settings/seeds.txt").write_text("# two\n3 4\n")
         self.age_everything()
 
     def age_everything(self) -> None:
@@ -106,9 +104,9 @@ def built_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
     workspace = Workspace(tmp_path_factory.mktemp("workspace"))
     workspace.fill()
     calls = workspace.make()
-    # 2 maps, 2 models; 5 variants with 2 runs, 2 evaluations and a report each; map, model and
-    # table of the study of appearance.
-    assert len(calls) == 2 + 2 + 5 * (2 + 2 + 1) + 3
+    # 2 maps, 2 models, 2 sweeps; 2 runs with a report each; map, model and table of the study of
+    # appearance.
+    assert len(calls) == 2 + 2 + 2 + 2 * 2 + 3
     return workspace.root
 
 
@@ -124,39 +122,45 @@ def commands(calls: list[str]) -> list[str]:
 
 
 def test_nothing_changed_makes_nothing(built: Workspace) -> None:
-    assert built.make() == []
+    calls = built.make()
+    assert commands(calls) == SWEEPS
+    assert {call.split(" -o ")[1] for call in calls} == {
+        "out/experiments/strategies",
+        "out/experiments/particles",
+    }
+
+
+def test_sweeps_come_after_their_scenes(built: Workspace) -> None:
+    built.change("sample_data/workshop/map/rgb/0001.jpg")
+    calls = built.make()
+    assert commands(calls) == ["model", "reconstruct", *SWEEPS]
+    assert [call.split()[0] for call in calls[-2:]] == SWEEPS
+    assert all("workshop" in call for call in calls[:2])
 
 
 def test_a_map_image_rebuilds_its_set_only(built: Workspace) -> None:
     built.change("sample_data/elevators/map/rgb/0001.jpg")
     calls = built.make()
-    expected = {"reconstruct": 2, "model": 2, "localize": 6, "evaluate": 6, "report": 3}
+    expected = {"reconstruct": 2, "model": 2, "localize": 2, "report": 2, "sweep": 2}
     expected["view-dependence"] = 1
     assert commands(calls) == sorted(name for name, n in expected.items() for _ in range(n))
     assert not [call for call in calls if "workshop" in call]
 
 
 def test_a_test_image_leaves_the_map_alone(built: Workspace) -> None:
-    built.change("sample_data/workshop/test/rgb/0000.jpg")
+    built.change("sample_data/elevators/test/rgb/0000.jpg")
+    expected = {"localize": 2, "report": 2, "view-dependence": 1, "sweep": 2}
     calls = built.make()
-    expected = {"localize": 4, "evaluate": 4, "report": 2}
     assert commands(calls) == sorted(name for name, n in expected.items() for _ in range(n))
-    assert not [call for call in calls if "elevators" in call]
+    built.change("sample_data/workshop/test/rgb/0000.jpg")
+    assert commands(built.make()) == SWEEPS
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "sample_data/elevators/test/odometry_perturbed.txt",
-        "experiments/settings/elevators/odometry_perturbed.flags",
-    ],
-)
-def test_an_input_of_one_variant_rebuilds_that_variant_only(built: Workspace, name: str) -> None:
-    built.change(name)
+def test_an_input_of_one_run_makes_that_run_only(built: Workspace) -> None:
+    built.change("sample_data/elevators/test/odometry_perturbed.txt")
     calls = built.make()
-    expected = {"localize": 2, "evaluate": 2, "report": 1}
-    assert commands(calls) == sorted(kind for kind, n in expected.items() for _ in range(n))
-    assert all("elevators/odometry_perturbed/" in call for call in calls)
+    assert commands(calls) == ["localize", "report", *SWEEPS]
+    assert all("/figure-7/" in call for call in calls if not call.startswith("sweep"))
 
 
 def test_the_settings_of_a_model_do_not_touch_the_reconstruction(built: Workspace) -> None:
@@ -164,42 +168,51 @@ def test_the_settings_of_a_model_do_not_touch_the_reconstruction(built: Workspac
     kinds = commands(built.make())
     assert "reconstruct" not in kinds
     assert kinds.count("model") == 1
-    assert kinds.count("localize") == 6
+    assert kinds.count("localize") == 2
 
 
 def test_settings_reach_the_command(built: Workspace) -> None:
-    name = "experiments/settings/workshop/odometry.flags"
+    name = "experiments/settings/elevators/figures.flags"
     (built.root / name).write_text("# a comment\n--particles 77\n--likelihood zncc\n")
     built.change(name)
     calls = [call for call in built.make() if call.startswith("localize")]
     assert len(calls) == 2
     assert all("--particles 77 --likelihood zncc" in call for call in calls)
-    assert {call.split("--seed ")[1].split()[0] for call in calls} == {"3", "4"}
 
 
-def test_another_seed_adds_its_runs_and_the_table_only(built: Workspace) -> None:
-    name = "experiments/settings/seeds.txt"
-    (built.root / name).write_text("3 4 5\n")
-    built.change(name)
-    calls = built.make()
-    assert commands(calls) == ["evaluate"] * 5 + ["localize"] * 5
-    assert all("seed-5" in call for call in calls)
-    table = (built.root / "out/experiments/table.md").read_text()
-    assert "| elevators | condensation | 3 of 3 | 0.040 | 0.04 | 0.040 | 0.50 |" in table
+def test_seeds_reach_the_sweeps(built: Workspace) -> None:
+    assert not [call for call in built.make() if "--seeds" in call]
+    calls = built.make("SEEDS=0-99")
+    assert commands(calls) == SWEEPS
+    assert all("--seeds 0-99" in call for call in calls)
+
+
+def test_the_configs_of_the_sweeps_are_what_they_are_given(built: Workspace) -> None:
+    for call in built.make():
+        config, output = call.split()[1], call.split()[3]
+        assert (ROOT / config).is_file()
+        assert Path(config).stem == Path(output).name
+        content = read_sweep_config(ROOT / config)
+        assert {data.path.is_dir() for data in content.datasets} == {True}
+        files = [path for data in content.datasets for path in data.odometry if path is not None]
+        assert all(path.is_file() for path in files)
+        scenes = {data.scene.resolve().relative_to(ROOT) for data in content.datasets}
+        assert all((built.root / scene).is_file() for scene in scenes)
 
 
 def test_ground_truth_is_no_input_of_a_map_that_is_localized_in(built: Workspace) -> None:
     built.change("sample_data/workshop/map/groundtruth.txt")
-    assert built.make() == []
+    assert commands(built.make()) == SWEEPS
     built.change("sample_data/elevators/map/groundtruth.txt")
     calls = built.make()
-    assert commands(calls) == ["model", "reconstruct", "view-dependence"]
-    assert all("out/experiments/view-dependence/" in call for call in calls)
+    assert commands(calls) == ["model", "reconstruct", *SWEEPS, "view-dependence"]
+    others = [call for call in calls if not call.startswith("sweep")]
+    assert all("out/experiments/view-dependence/" in call for call in others)
 
 
 def test_the_parts_of_a_study_are_its_own(built: Workspace) -> None:
     built.change("experiments/settings/elevators/doors.toml")
-    assert commands(built.make()) == ["view-dependence"]
+    assert commands(built.make()) == [*SWEEPS, "view-dependence"]
 
 
 def test_a_failed_stage_stops_and_is_tried_again(built: Workspace) -> None:

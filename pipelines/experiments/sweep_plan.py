@@ -17,7 +17,7 @@ from pipelines.lightfield.bundle import load_scene
 from pipelines.localize.settings import LocalizerSettings
 
 # Raise it when results that were kept are no longer what would be computed now.
-RESULTS_VERSION = 1
+RESULTS_VERSION = 2
 
 
 def planned_runs(config: SweepConfig, progress: Progress) -> tuple[SweepRun, ...]:

@@ -83,8 +83,8 @@ PLOTS = (
     ),
     Plot(
         "seconds",
-        "seconds a frame, one thread\nmedian, 10 to 90 % of runs",
-        _quantiles("seconds_per_frame"),
+        "CPU seconds a frame\nmedian, 10 to 90 % of runs",
+        _quantiles("cpu_seconds_per_frame"),
         is_logarithmic=True,
     ),
 )

@@ -1,6 +1,7 @@
 """One run of a sweep: what goes in, what comes out, and how the one becomes the other."""
 
 import math
+import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -83,7 +84,10 @@ class RunResult:
         frames_until_converged: None where it never did.
         frames: how many have a truth.
         in_95_region: share of the frames after convergence with the truth in the stated region.
-        seconds_per_frame: mean over all frames.
+        cpu_seconds_per_frame: processor time of the whole run over the number of frames; on a
+            busy machine the one figure that can be compared. (A process that makes several runs at
+            once, as Dask's workers may, counts them all in each.)
+        seconds_per_frame: wall time, mean over all frames.
         seconds_while_searching: mean over the frames of the global search, None where none was.
         seconds_while_tracking: mean over the frames in which one mode was followed; likewise.
     """
@@ -96,6 +100,7 @@ class RunResult:
     frames_until_converged: int | None
     frames: int
     in_95_region: float | None
+    cpu_seconds_per_frame: float
     seconds_per_frame: float
     seconds_while_searching: float | None
     seconds_while_tracking: float | None
@@ -120,6 +125,7 @@ class RunResult:
             frames_until_converged=_count(values, "frames_until_converged"),
             frames=values.get("frames", int),
             in_95_region=_number(values, "in_95_region"),
+            cpu_seconds_per_frame=values.number("cpu_seconds_per_frame"),
             seconds_per_frame=values.number("seconds_per_frame"),
             seconds_while_searching=_number(values, "seconds_while_searching"),
             seconds_while_tracking=_number(values, "seconds_while_tracking"),
@@ -174,6 +180,7 @@ class Bench:
             OptionError: settings that make no sense for this scene.
         """
         source = run.odometry if run.odometry is not None else run.dataset / ODOMETRY_FILE
+        start = time.process_time()
         finished = localize_dataset(
             self._scene(run),
             self._dataset(run),
@@ -184,7 +191,7 @@ class Bench:
             record={},
             progress=no_progress,
         )
-        return judged(finished)
+        return judged(finished, time.process_time() - start)
 
     def _scene(self, run: SweepRun) -> Scene:
         place = (run.scene, run.inputs["scene"])
@@ -205,8 +212,12 @@ class Bench:
         return self._datasets[place]
 
 
-def judged(run: Run) -> RunResult:
+def judged(run: Run, cpu_seconds: float) -> RunResult:
     """Holds a run against its ground truth; one that never had an estimate is no success.
+
+    Args:
+        run: with ground truth.
+        cpu_seconds: processor time that it took.
 
     Raises:
         InputError: the run carries no ground truth.
@@ -225,6 +236,7 @@ def judged(run: Run) -> RunResult:
         frames_until_converged=None if evaluation is None else evaluation.frames_until_converged,
         frames=_frames_with_truth(run),
         in_95_region=_share_in_region(evaluation),
+        cpu_seconds_per_frame=cpu_seconds / len(run.frames),
         seconds_per_frame=_seconds(run, None) or 0.0,
         seconds_while_searching=_seconds(run, "global"),
         seconds_while_tracking=_seconds(run, "tracking"),
