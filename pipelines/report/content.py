@@ -7,6 +7,7 @@ import numpy as np
 
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.run import PNP_ESTIMATE, Run
+from pipelines.report.docking import ANIMATION_CAPTION, CAPTION, docking_verdict
 from pipelines.report.figures import Content
 from pipelines.report.page import Page, Picture, Table, flattened
 from pipelines.report.tracks import Tracks
@@ -57,9 +58,10 @@ def page_of(
         figures: name -> PNG, in the order in which the page shows them.
     """
     run, tracks = content.run, content.tracks
+    is_docking = run.docking is not None
     return Page(
-        title=f"Localization of {run.dataset_name}",
-        verdict=verdict_of(run, tracks.estimate_errors),
+        title=("D" + run.dataset_name[1:] if is_docking else f"Localization of {run.dataset_name}"),
+        verdict=docking_verdict(run) if is_docking else verdict_of(run, tracks.estimate_errors),
         subtitle=(
             f"{len(run.frames)} frames, estimate \u201c{tracks.estimate_name}\u201d, "
             f"seed {run.seed}, scene of {len(scene)} views ({run.scene_path})"
@@ -139,6 +141,10 @@ def _picture(name: str, png: bytes, content: Content) -> Picture:
         shown = frame_ranges(list(content.views))
         alternative = f"Top views and camera, estimated and odometry views, {shown} of {dataset}"
         return Picture("Where the robot was", png, alternative, OVERVIEW_CAPTION)
+    if name == "docking":
+        return Picture("How it docked", png, f"Path and distance to the goal, {dataset}", CAPTION)
+    if name == "animation":
+        return Picture("Step by step", png, f"Animation, {dataset}", ANIMATION_CAPTION, "gif")
     if name == "curves":
         caption = CURVES_CAPTION.format(errors=_errors_caption(content.tracks))
         alternative = f"Errors, particles, confidence and time over the frames of {dataset}"

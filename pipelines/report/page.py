@@ -29,12 +29,16 @@ class Table:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure with its title and the sentences that say how to read it."""
+    """A figure with its title and the sentences that say how to read it.
+
+    ``png`` holds a GIF where ``kind`` says so.
+    """
 
     title: str
     png: bytes
     alternative: str
     caption: str
+    kind: str = "png"
 
 
 @dataclass(frozen=True)
@@ -115,7 +119,7 @@ def _picture(picture: Picture) -> str:
     data = base64.b64encode(picture.png).decode("ascii")
     return (
         f"<h2>{escape(picture.title)}</h2>\n"
-        f'<figure><div class="sheet"><img src="data:image/png;base64,{data}" '
+        f'<figure><div class="sheet"><img src="data:image/{picture.kind};base64,{data}" '
         f'alt="{escape(picture.alternative)}"></div>\n'
         f"<figcaption>{escape(picture.caption)}</figcaption></figure>"
     )

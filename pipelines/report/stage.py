@@ -12,7 +12,9 @@ from pipelines.lightfield.proxy import Quality, quality_named
 from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.run import Run, check_run_belongs_to, load_run, locate_scene
+from pipelines.report.animation import animation
 from pipelines.report.content import page_of
+from pipelines.report.docking import docking_figure
 from pipelines.report.figures import Content, frame_figure, overview_figure, pdf_of, png_of
 from pipelines.report.page import html_of
 from pipelines.report.style import figure_style
@@ -24,6 +26,7 @@ from pipelines.report.views import MAX_PICTURE_SIDE, ViewMaker
 
 PAGE_NAME = "report.html"
 FIGURE_FOLDER = "figures"
+ANIMATION_NAME = "animation.gif"
 
 
 @dataclass(frozen=True)
@@ -103,6 +106,9 @@ def report(
     content = _content(run, run_path, scene, indices, settings.estimate, progress)
     figures = _drawn(content, progress)
     pngs = {name: png for name, (png, _) in figures.items()}
+    moving = _animation(content, progress)
+    if moving is not None:
+        pngs["animation"] = moving
     page = page_of(content, scene, scene_provenance(scene_path), pngs)
     with atomic_folder(output, overwrite, PAGE_NAME) as folder:
         (folder / PAGE_NAME).write_text(html_of(page), encoding="utf-8")
@@ -112,6 +118,9 @@ def report(
             for suffix, data in ((".png", png), (".pdf", pdf)):
                 (folder / FIGURE_FOLDER / f"{name}{suffix}").write_bytes(data)
                 files.append(f"{FIGURE_FOLDER}/{name}{suffix}")
+        if moving is not None:
+            (folder / FIGURE_FOLDER / ANIMATION_NAME).write_bytes(moving)
+            files.append(f"{FIGURE_FOLDER}/{ANIMATION_NAME}")
     return ReportSummary(output, indices, tuple(files), page.verdict)
 
 
@@ -170,15 +179,26 @@ def _content(
     return Content(run, tracks, surroundings_of(scene, tracks, clouds), views)
 
 
+def _animation(content: Content, progress: Progress) -> bytes | None:
+    """The docking as a GIF; None where the run is none."""
+    if content.run.docking is None:
+        return None
+    with figure_style():
+        return animation(content.run, content.surroundings, content.tracks, progress)
+
+
 def _drawn(content: Content, progress: Progress) -> dict[str, tuple[bytes, bytes]]:
     """Name -> PNG and PDF of each figure, in the order of the page."""
     indices = list(content.views)
-    names = ["overview", "curves", *(f"frame_{index:04d}" for index in indices)]
+    docking = ["docking"] if content.run.docking is not None else []
+    names = [*docking, "overview", "curves", *(f"frame_{index:04d}" for index in indices)]
     drawn = {}
     with figure_style():
         for name in progress(names, "figures", len(names)):
             if name == "overview":
                 figure = overview_figure(content)
+            elif name == "docking":
+                figure = docking_figure(content.run, content.surroundings, content.tracks)
             elif name == "curves":
                 figure = time_figure(content.run, content.tracks, indices)
             else:

@@ -96,10 +96,7 @@ def draw_top_view(
     """
     record = run.frames[index]
     size = 1.35 if detail else 1.0
-    _draw_axes(axes, limits)
-    if surroundings.surface is not None:
-        _draw_surface(axes, surroundings.surface, limits)
-    _draw_recordings(axes, surroundings.recordings, limits, size)
+    draw_place(axes, surroundings, limits, size)
     _draw_particles(axes, record, size)
     _draw_paths(axes, run, tracks, index, size)
     # In a close-up the ellipse shows the main cluster, and a diamond would hide its particles.
@@ -108,6 +105,23 @@ def draw_top_view(
     _draw_poses(axes, tracks, index, record.status == "tracking", size)
     if tracks.pnp is not None:
         axes.plot(*tracks.pnp[index, :2], **pnp_symbol(size), zorder=5.3)
+
+
+def draw_place(
+    axes: Axes, surroundings: Surroundings, limits: FloatArray, size: float = 1.0
+) -> None:
+    """Draws what does not change: axes, the mapped surface, where the photos were taken.
+
+    Args:
+        axes: empty axes.
+        surroundings: what to draw.
+        limits: ``(4,)`` x_min, x_max, y_min, y_max in metres.
+        size: of the symbols; 1 is usual.
+    """
+    _draw_axes(axes, limits)
+    if surroundings.surface is not None:
+        _draw_surface(axes, surroundings.surface, limits)
+    _draw_recordings(axes, surroundings.recordings, limits, size)
 
 
 def _draw_axes(axes: Axes, limits: FloatArray) -> None:
