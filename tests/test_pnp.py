@@ -138,7 +138,7 @@ def test_pycolmap_and_numba_never_share_a_process() -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells a child of its parent's end")
-def test_the_worker_dies_with_its_parent() -> None:
+def test_the_worker_dies_with_its_parent(tmp_path: Path) -> None:
     busy = (
         "import time; from pipelines.artifacts.worker_process import die_with_parent;"
         "die_with_parent(); print('{}', flush=True); time.sleep(60)"
@@ -151,7 +151,7 @@ def test_the_worker_dies_with_its_parent() -> None:
         "    print(worker._process.pid, flush=True)\n"
         "    time.sleep(60)\n"
     )
-    command = [sys.executable, "-c", parent, str(Path("/tmp"))]
+    command = [sys.executable, "-c", parent, str(tmp_path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
         assert process.stdout is not None
         worker = int(process.stdout.readline())
