@@ -20,18 +20,22 @@ PYTHON = $(shell for name in python3 python3.13 python3.12 python3.11 python; do
 DATA := sample_data
 DEMO := out/demo
 DEMO_SFM := out/demo-sfm
+DEMO_DOCK := out/demo-dock
+# Between the two left doors, facing the call button: x and y in metres, heading in degrees.
+DOCK := -1.15,-1.65,90
 DEMO_ODOMETRY := odometry.txt
 SEED := 0
 # One process: on two busy cores two were slower, since much of what is tested uses all cores itself.
 # On a larger machine: make test TEST_WORKERS='-n 4 --dist loadfile'.
 TEST_WORKERS :=
 
-.PHONY: help install demo demo-sfm test test-slow test-lowest lint format bench clean
+.PHONY: help install demo demo-sfm demo-dock test test-slow test-lowest lint format bench clean
 
 help:
 	@echo "make install      a virtual environment in $(VENV) with lfnav in it"
 	@echo "make demo         the whole chain on a lobby with three equal doors -> $(DEMO)/report/report.html"
 	@echo "make demo-sfm     the same on a workshop, mapped by structure from motion -> $(DEMO_SFM)/report/report.html"
+	@echo "make demo-dock    docks a robot in the lobby whose camera images are path-traced -> $(DEMO_DOCK)/report/report.html"
 	@echo "make experiments  many seeds and settings -> out/experiments/*/table.md; makes only what is missing"
 	@echo "make test         the test suite; 'make test-slow' runs the slow tests"
 	@echo "make lint         ruff and mypy"
@@ -52,18 +56,35 @@ $(STAMP): pyproject.toml
 # ---------------------------------------------------------------------------- demonstrations
 
 demo: $(STAMP)
-	@echo "== 1/5 Where was the camera when each map photo was taken? (from the wheels' odometry)"
+	@echo "== 1/6 Where was the camera when each map photo was taken? (from the wheels' odometry)"
 	$(LFNAV) reconstruct $(DATA)/elevators/map -o $(DEMO)/map --method odometry --overwrite
-	@echo "== 2/5 The scene model: photos, their poses, and the plane of the wall, found by comparing photos"
+	@echo "== 2/6 The scene model: photos, their poses, and the plane of the wall, found by comparing photos"
 	$(LFNAV) model $(DEMO)/map -o $(DEMO)/scene.h5 --geometry plane --overwrite
-	@echo "== 3/5 Where is the robot? A particle filter, told neither place nor heading at the start"
+	@echo "== 3/6 Where is the robot? A particle filter, told neither place nor heading at the start"
 	$(LFNAV) localize $(DEMO)/scene.h5 $(DATA)/elevators/test -o $(DEMO)/run.h5 --seed $(SEED) \
 		--odometry $(DATA)/elevators/test/$(DEMO_ODOMETRY) --overwrite
-	@echo "== 4/5 How far off was it? (against the ground truth, which no stage above has used)"
+	@echo "== 4/6 How far off was it? (against the ground truth, which no stage above has used)"
 	$(LFNAV) evaluate $(DEMO)/run.h5
-	@echo "== 5/5 The report"
+	@echo "== 5/6 The report"
 	$(LFNAV) report $(DEMO)/run.h5 -o $(DEMO)/report --overwrite
-	@echo "== Done. Open $(CURDIR)/$(DEMO)/report/report.html in a browser."
+	@echo "== 6/6 Docking: a simulated robot, told neither place nor heading, drives to the call button"
+	$(LFNAV) dock $(DEMO)/scene.h5 --robot model:$(DEMO)/scene.h5 --goal $(DOCK) --true-start 0.5,-3.5,120 \
+		-o $(DEMO)/dock.h5 --seed $(SEED) --overwrite
+	$(LFNAV) report $(DEMO)/dock.h5 -o $(DEMO)/dock-report --overwrite
+	@echo "== Done. Open $(CURDIR)/$(DEMO)/report/report.html in a browser, and $(DEMO)/dock-report/report.html beside it."
+
+demo-dock: $(STAMP)
+	$(BIN)/python -m pip install --quiet --editable '.[dev,sim]'
+	@echo "== 1/4 Where was the camera when each map photo was taken?"
+	$(LFNAV) reconstruct $(DATA)/elevators/map -o $(DEMO_DOCK)/map --method odometry --overwrite
+	@echo "== 2/4 The scene model, with depth maps computed from the photos (a minute or two)"
+	$(LFNAV) model $(DEMO_DOCK)/map -o $(DEMO_DOCK)/scene.h5 --geometry depth --overwrite
+	@echo "== 3/4 Docking: a robot whose camera images are path-traced (a second or two of processor time each)"
+	$(LFNAV) dock $(DEMO_DOCK)/scene.h5 --robot sim:$(DATA)/elevators/scene/scene.xml --goal $(DOCK) \
+		--true-start 0.5,-3.5,120 -o $(DEMO_DOCK)/dock.h5 --seed $(SEED) --overwrite
+	@echo "== 4/4 The report"
+	$(LFNAV) report $(DEMO_DOCK)/dock.h5 -o $(DEMO_DOCK)/report --overwrite
+	@echo "== Done. Open $(CURDIR)/$(DEMO_DOCK)/report/report.html in a browser."
 
 demo-sfm: $(STAMP)
 	@echo "== 1/5 Where was the camera when each map photo was taken? (from the photos; takes minutes)"
