@@ -10,18 +10,19 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.markers import CARETUP
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from pipelines.experiments.sweep_tables import Line
 
-# Colours of Okabe and Ito (2008), and markers for print in grey.
+# Colours of Okabe and Ito (2008), and markers for print in grey: none that looks like an arrow.
 SERIES_STYLES = (
     ("#0072B2", "o"),
     ("#D55E00", "s"),
-    ("#009E73", "^"),
-    ("#CC79A7", "D"),
-    ("#E69F00", "v"),
-    ("#56B4E9", "P"),
-    ("#000000", "X"),
+    ("#009E73", "D"),
+    ("#CC79A7", "P"),
+    ("#E69F00", "X"),
+    ("#56B4E9", "p"),
+    ("#000000", "*"),
 )
 # All series together take so much of the room between two numbers of particles.
 SPREAD = 0.5
@@ -115,6 +116,9 @@ def figure_of(plot: Plot, lines: Sequence[Line]) -> Figure:
     for axes, panel in zip(grid.flat, panels, strict=False):
         if plot.is_logarithmic:
             axes.set_yscale("log")
+            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+            axes.yaxis.set_minor_formatter(NullFormatter())
         axes.set_ylim(*limits)
         _draw(axes, plot, panel, lines)
         axes.set_title("\n".join(panel))
