@@ -85,6 +85,13 @@ def test_it_finds_the_wall_when_it_starts_with_its_back_to_it() -> None:
     assert all(entry.command.distance == 0.0 for entry in searching)
 
 
+def test_a_robot_that_is_told_a_wrong_start_finds_out() -> None:
+    robot = PaintedRobot(facing_wall(-0.6, 2.2))
+    docking, _ = docked(robot, near_wall(start=tuple(facing_wall(1.8, 0.9, turn=0.6))))
+    assert docking.outcome.ending is Ending.DOCKED
+    check_docked(robot)
+
+
 def test_systematic_errors_of_odometry_do_no_harm() -> None:
     robot = PaintedRobot(noise=MotionNoise(scale=0.15, drift=math.radians(9.0)))
     docking, _ = docked(robot, near_wall())

@@ -58,6 +58,9 @@ class Report:
 
 Listener = Callable[[Report], None]
 
+# After so many images running that the belief cannot explain, it is given up for a new search.
+LARGEST_LOST = 2
+
 
 @dataclass(frozen=True)
 class Equipment:
@@ -66,6 +69,7 @@ class Equipment:
     Attributes:
         robot: checked.
         localizer: of the robot's camera in the scene.
+        searching: makes a new one that knows nothing, where the first was lost for good.
         alignment: makes its estimates finer.
         pilot: with goal and bounds.
         settings: of the docking.
@@ -73,6 +77,7 @@ class Equipment:
 
     robot: CheckedRobot
     localizer: Localizer
+    searching: Callable[[], Localizer]
     alignment: FineAlignment
     pilot: Pilot
     settings: DockSettings
@@ -114,12 +119,23 @@ def equipment_of(
         quality_named(chosen.quality, bool(scene.depth), Quality.MEDIUM),
         chosen.threads,
     )
-    localizer = Localizer(scene, robot.camera, robot.base_from_camera, chosen, rng, renderer)
+
+    def localizer_of(start: tuple[float, ...] | None) -> Localizer:
+        own = replace(chosen, start=start)
+        return Localizer(scene, robot.camera, robot.base_from_camera, own, rng, renderer)
+
     intrinsics = Undistorter(robot.camera).intrinsics
     explorer = Explorer(renderer, robot.base_from_camera, intrinsics, safety)
     alignment = FineAlignment(scene, robot.camera, robot.base_from_camera, chosen)
     pilot = Pilot(goal, settings, safety, explorer)
-    return Equipment(robot, localizer, alignment, pilot, settings)
+    return Equipment(
+        robot,
+        localizer_of(settings.start),
+        lambda: localizer_of(None),
+        alignment,
+        pilot,
+        settings,
+    )
 
 
 def dock(equipment: Equipment, listener: Listener) -> Docking:
@@ -162,6 +178,8 @@ class _Loop:
     def __init__(self, equipment: Equipment, listener: Listener) -> None:
         self._robot = equipment.robot
         self._localizer = equipment.localizer
+        self._searching = equipment.searching
+        self._lost_images = 0
         self._alignment = equipment.alignment
         self._pilot = equipment.pilot
         self._settings = equipment.settings
@@ -223,10 +241,14 @@ class _Loop:
         # A simulated robot has no clock: the same seed gives the same run.
         timestamp = float(number) if self._robot.is_simulated else elapsed
         start = time.monotonic()
+        if self._lost_images > LARGEST_LOST:
+            self._localizer, self._lost_images = self._searching(), 0
         frame = self._localizer.step(
             image, measured.vector() if number else None, timestamp, f"step {number:04d}"
         )
         self._filter_seconds += time.monotonic() - start
+        if frame.status != "blind":
+            self._lost_images = self._lost_images + 1 if frame.status == "lost" else 0
         took = self._robot.seconds - spent
         return replace(frame, seconds={**frame.seconds, "robot": took})
 

@@ -21,10 +21,11 @@ from pipelines.localize.state_space import PLANAR
 
 # What calibrated odometry errs by: metres, of the distance, radians, a metre, of the turn.
 STEP_POSITION, POSITION_SHARE = 0.002, 0.04
-STEP_HEADING, HEADING_A_METRE, HEADING_SHARE = math.radians(0.3), math.radians(1.5), 0.03
+STEP_HEADING, HEADING_A_METRE, HEADING_SHARE = math.radians(0.5), math.radians(1.5), 0.03
 # From so far apart, metres and radians, errors of two images have nothing to do with each other.
 INDEPENDENT_DISTANCE, INDEPENDENT_TURN = 0.2, 0.2
-LEAST_NOVELTY = 0.02
+# Odometry's own errors add up in a row of small movements: an image always counts for something.
+LEAST_NOVELTY = 0.15
 # A fix this far (squared, in standard deviations) from what was expected begins anew.
 LARGEST_SURPRISE = 25.0
 # What the calibration takes a motion between two fixes to be uncertain by.
