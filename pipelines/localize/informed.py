@@ -29,6 +29,7 @@ from pipelines.localize.observation import Observations
 from pipelines.localize.population import next_count
 from pipelines.localize.prediction import Prediction
 from pipelines.localize.proposal import Proposal
+from pipelines.localize.resampling import resample
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import StateSpace
 
@@ -38,8 +39,10 @@ SEARCHED, FOLLOWED = 20, 6
 FOLLOWED_SHARE = 0.01
 # Share of the particles that are drawn from the proposal.
 PROPOSED_SHARE = 0.6
-# A search keeps so many times as many particles as tracking.
-SEARCH_FACTOR = 8
+# A search keeps so many times as many particles as tracking, where that is not more than enough.
+SEARCH_FACTOR, ENOUGH_PARTICLES = 8, 4_000
+# The density of the prior takes time with each particle in it; so many stand for any number.
+LARGEST_PRIOR = 2_000
 # While several peaks are left, the body is with this probability where none of them is.
 UNDECIDED_SHARE = 0.05
 UNDECIDED_MODE_SHARE = 0.95
@@ -145,7 +148,10 @@ class Informed:
         space, settings = self._space, self._settings
         if self._belief is None:
             return self._first_prediction()
-        centres, scale = self._belief.states, 1.0
+        centres, log_weights, scale = self._belief.states, self._belief.log_weights, 1.0
+        if len(centres) > LARGEST_PRIOR:
+            chosen = resample(log_weights, LARGEST_PRIOR, settings.resampling, self._rng)
+            centres, log_weights = centres[chosen], equal_log_weights(LARGEST_PRIOR)
         if motion is not None:
             centres = space.composed(centres, self._calibration.corrected(motion))
             scale = self._calibration.noise_scale
@@ -155,7 +161,7 @@ class Informed:
         return Prediction(
             space,
             centres,
-            self._belief.log_weights,
+            log_weights,
             scale * position_sigma,
             scale * angle_sigma,
             self._region,
@@ -209,7 +215,7 @@ class Informed:
 
     def _count(self, prediction: Prediction) -> int:
         settings = self._settings
-        largest = SEARCH_FACTOR * settings.particles
+        largest = max(settings.particles, min(SEARCH_FACTOR * settings.particles, ENOUGH_PARTICLES))
         if self._belief is None or prediction.anywhere_share > 0.0:
             return largest if prediction.anywhere_share > 0.0 else settings.particles
         return min(largest, next_count(self._belief, settings.particles, 0.0))
