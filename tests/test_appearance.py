@@ -5,7 +5,7 @@ import pytest
 
 from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray
 from pipelines.geometry.pose import inverse, world_from_base_planar
-from pipelines.lightfield.comparison import Cost, compare
+from pipelines.lightfield.comparison import Cost, compare, prepared
 from pipelines.lightfield.renderer import Renderer
 from pipelines.localize.appearance import (
     DISTINCT_ANGLE,
@@ -52,9 +52,9 @@ def tile_costs(image: Float32Array, covered: BoolArray, query: Float32Array) -> 
     for row in range(TILES_DOWN):
         for column in range(TILES_ACROSS):
             tile = np.ix_(rows == row, columns == column)
-            own, seen = np.ascontiguousarray(image[tile]), np.ascontiguousarray(covered[tile])
-            wanted = np.ascontiguousarray(query[tile])
-            found.append(compare(int(Cost.SQUARED), own, seen, wanted, True))
+            seen = covered[tile][..., None].astype(np.float32)
+            own = np.concatenate([image[tile], seen], axis=2)
+            found.append(compare(int(Cost.SQUARED), own, prepared(query[tile]), True))
     return np.array(found)
 
 

@@ -15,14 +15,31 @@ from pipelines.lightfield.comparison import (
     UNCOVERED_SQUARED,
     UNCOVERED_ZNCC,
     Cost,
-    best_gain,
     compare,
-    trimmed_gain,
+    fitted_gain,
+    prepared,
 )
 from pipelines.lightfield.renderer import Renderer
 from tests.lightfield_samples import WALL, looking, photo, photographed, pinhole
 
 every_cost = pytest.mark.parametrize("cost", Cost)
+
+
+def packed(image: Float32Array, covered: BoolArray) -> Float32Array:
+    """A rendered view as the comparison takes it: RGB, and 1 where covered."""
+    return np.concatenate([image, covered[..., None].astype(np.float32)], axis=2)
+
+
+def cost_of(
+    cost: Cost, image: Float32Array, covered: BoolArray, query: Float32Array, fit_gain: bool
+) -> float:
+    return compare(int(cost), packed(image, covered), prepared(query), fit_gain)
+
+
+def gain_of(
+    image: Float32Array, covered: BoolArray, query: Float32Array, trimmed: bool = False
+) -> float:
+    return fitted_gain(packed(image, covered).ravel(), prepared(query).ravel(), trimmed)
 
 
 def formula(
@@ -67,19 +84,19 @@ def random_pair(seed: int, coverage: float = 0.8) -> tuple[Float32Array, BoolArr
 def test_each_cost_is_its_formula(cost: Cost, coverage: float) -> None:
     for seed in range(5):
         image, covered, query = random_pair(seed, coverage)
-        found = compare(int(cost), image, covered, query, False)
+        found = cost_of(cost, image, covered, query, False)
         expected = formula(cost, image.astype(float), covered, query.astype(float), 1.0)
         assert found == pytest.approx(expected, rel=1e-5)
         assert 0.0 < found < 1.0
 
 
 @every_cost
-def test_each_cost_with_its_best_gain(cost: Cost) -> None:
+def test_each_cost_with_its_gain_of(cost: Cost) -> None:
     for seed in range(5):
         image, covered, query = random_pair(seed)
         a, b = image[covered].astype(float), query[covered].astype(float)
         gain = float(np.clip((a * b).sum() / (a * a).sum(), 1.0 / LARGEST_GAIN, LARGEST_GAIN))
-        assert best_gain(image, covered, query) == pytest.approx(gain, rel=1e-6)
+        assert gain_of(image, covered, query) == pytest.approx(gain, rel=1e-6)
         # Least squares: no other factor is better.
         least = ((gain * a - b) ** 2).sum()
         assert all(((factor * a - b) ** 2).sum() >= least for factor in (gain - 0.01, gain + 0.01))
@@ -88,7 +105,7 @@ def test_each_cost_with_its_best_gain(cost: Cost) -> None:
             near = np.abs(a - b) < ROBUST_LIMIT
             assert 0.2 < near.mean() < 0.95
             gain = float((a[near] * b[near]).sum() / (a[near] ** 2).sum())
-        found = compare(int(cost), image, covered, query, True)
+        found = cost_of(cost, image, covered, query, True)
         expected = formula(cost, image.astype(float), covered, query.astype(float), gain)
         assert found == pytest.approx(expected, rel=1e-5)
 
@@ -98,17 +115,17 @@ def test_a_change_of_exposure_costs_nothing_with_a_gain(cost: Cost) -> None:
     image, covered, _ = random_pair(3, 1.0)
     for factor in (0.7, 1.0, 1.4):
         query = (factor * image).astype(np.float32)
-        assert compare(int(cost), image, covered, query, True) == pytest.approx(0.0, abs=1e-6)
+        assert cost_of(cost, image, covered, query, True) == pytest.approx(0.0, abs=1e-6)
     if cost is not Cost.ZNCC:
         query = (0.7 * image).astype(np.float32)
-        assert compare(int(cost), image, covered, query, False) > 0.01
+        assert cost_of(cost, image, covered, query, False) > 0.01
         # Three times as bright is no exposure but another place.
         query = (image / 3.0).astype(np.float32)
-        assert compare(int(cost), image, covered, query, True) > 0.01
-    assert best_gain(image, covered, (9.0 * image).astype(np.float32)) == LARGEST_GAIN
-    assert best_gain(image, covered, (image / 9.0).astype(np.float32)) == 1.0 / LARGEST_GAIN
-    assert best_gain(np.zeros_like(image), covered, image) == 1.0
-    assert best_gain(image, np.zeros_like(covered), image) == 1.0
+        assert cost_of(cost, image, covered, query, True) > 0.01
+    assert gain_of(image, covered, (9.0 * image).astype(np.float32)) == LARGEST_GAIN
+    assert gain_of(image, covered, (image / 9.0).astype(np.float32)) == 1.0 / LARGEST_GAIN
+    assert gain_of(np.zeros_like(image), covered, image) == 1.0
+    assert gain_of(image, np.zeros_like(covered), image) == 1.0
 
 
 @every_cost
@@ -116,8 +133,8 @@ def test_values_under_uncovered_pixels_do_not_matter(cost: Cost) -> None:
     image, covered, query = random_pair(4, 0.6)
     other = np.where(covered[..., None], image, np.float32(77.0)).astype(np.float32)
     for fit_gain in (False, True):
-        expected = compare(int(cost), image, covered, query, fit_gain)
-        assert compare(int(cost), other, covered, query, fit_gain) == expected
+        expected = cost_of(cost, image, covered, query, fit_gain)
+        assert cost_of(cost, other, covered, query, fit_gain) == expected
 
 
 @every_cost
@@ -128,7 +145,7 @@ def test_flat_and_uncovered_images_have_finite_costs(cost: Cost) -> None:
         for image in (flat, np.zeros_like(flat)):
             for target in (flat, query, np.zeros_like(flat)):
                 for fit_gain in (False, True):
-                    found = compare(int(cost), image, covered, target, fit_gain)
+                    found = cost_of(cost, image, covered, target, fit_gain)
                     assert 0.0 <= found <= 1.0
 
 
@@ -197,8 +214,8 @@ def test_threads_and_company_do_not_change_a_cost() -> None:
         np.testing.assert_array_equal(one_by_one, expected[:9])
         # The cost is that of the rendered view.
         rendering = alone.render(many[5], camera)
-        direct = compare(
-            int(cost),
+        direct = cost_of(
+            cost,
             rendering.image.astype(np.float32),
             rendering.covered,
             query.astype(np.float32),
@@ -229,22 +246,22 @@ def test_pixels_that_are_not_to_be_compared_do_not_count(cost: Cost, fit_gain: b
     query[:, 12:] = np.nan
     own, seen = np.ascontiguousarray(image[:, :12]), np.ascontiguousarray(covered[:, :12])
     wanted = np.ascontiguousarray(query[:, :12])
-    expected = compare(int(cost), own, seen, wanted, fit_gain)
-    assert compare(int(cost), image, covered, query, fit_gain) == pytest.approx(expected, rel=1e-6)
+    expected = cost_of(cost, own, seen, wanted, fit_gain)
+    assert cost_of(cost, image, covered, query, fit_gain) == pytest.approx(expected, rel=1e-6)
 
 
 @every_cost
 def test_where_nothing_is_to_be_compared_the_cost_is_finite(cost: Cost) -> None:
     image, covered, query = random_pair(1)
     query[:] = np.nan
-    assert 0.0 <= compare(int(cost), image, covered, query, True) <= 1.0
+    assert 0.0 <= cost_of(cost, image, covered, query, True) <= 1.0
 
 
 def test_what_stands_in_front_does_not_change_the_robust_costs_gain() -> None:
     image, covered, _ = random_pair(2, 1.0)
     query = (0.9 * image).astype(np.float32)
     query[:, :6] = 250.0
-    gain = trimmed_gain(image, covered, query)
+    gain = gain_of(image, covered, query, trimmed=True)
     # Of the colours in front, a few happen to be nearly equal.
     assert gain == pytest.approx(0.9, abs=0.06)
-    assert abs(gain - 0.9) < 0.3 * abs(best_gain(image, covered, query) - 0.9)
+    assert abs(gain - 0.9) < 0.3 * abs(gain_of(image, covered, query) - 0.9)

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray, ImageArray
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.pose import inverse, world_from_base_planar
+from pipelines.lightfield.comparison import prepared
 from pipelines.lightfield.renderer import Renderer, RenderingWithSurface
 from pipelines.localize.alignment_kernels import FLAT, normal_equations, robust_error
 from pipelines.localize.observation import Observation, Observer
@@ -150,10 +151,9 @@ def kernel_sums(
     count = space.dimension + 2
     hessian, clusters = np.zeros((count, count)), np.zeros((16, count))
     normal_equations(
-        look.view.image,
-        look.view.covered,
+        look.view.rgba,
         look.view.inverse_depth,
-        target,
+        prepared(target),
         gain,
         offset,
         limit,
@@ -245,7 +245,7 @@ def test_the_robust_error_is_tukeys_loss(renderer: Renderer) -> None:
     loss = np.where(np.abs(ratio) < 1.0, 1.0 - (1.0 - ratio**2) ** 3, 1.0)
     loss[~covered] = 1.0
     expected = 30.0**2 / 6.0 * loss.mean()
-    found = robust_error(image, covered, target, 1.1, -4.0, 30.0)
+    found = robust_error(look.view.rgba, prepared(target), 1.1, -4.0, 30.0)
     assert 0.0 < covered.mean() < 1.0
     assert found == pytest.approx(expected, rel=1e-5)
 

@@ -155,7 +155,7 @@ def part_views(
         usable = np.ones(len(views), dtype=bool)
         if quality is Quality.PLANE:
             usable = plane.signed_distance(views.centres) > 0.0
-        inverse_depth = rendering.inverse_depth[chosen]
+        inverse_depth = rendering.inverse_depth[chosen].astype(np.float64)
         colours = texture_colours(views, usable, pixels, inverse_depth, pose, intrinsics)
         shown &= rendering.covered
         shown[chosen] &= colours.seen_by > 0

@@ -10,8 +10,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray
-from pipelines.lightfield.compiled import compiled, compiled_leaf
+from pipelines.artifacts.array_types import Float32Array, ImageArray
+from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_loop
 
 
 class Cost(IntEnum):
@@ -41,146 +41,164 @@ UNCOVERED_GRADIENT = 0.5
 LARGEST_GAIN = 1.5
 
 
-@compiled_leaf
-def best_gain(image: Float32Array, covered: BoolArray, query: Float32Array) -> float:
-    """The factor, between 1 / LARGEST_GAIN and LARGEST_GAIN, that fits the image best."""
-    product, square = 0.0, 0.0
-    for y in range(image.shape[0]):
-        for x in range(image.shape[1]):
-            if covered[y, x] and not np.isnan(query[y, x, 0]):
-                for channel in range(3):
-                    value = image[y, x, channel]
-                    product += value * query[y, x, channel]
-                    square += value * value
-    if square <= 0.0:
-        return 1.0
-    return float(min(max(product / square, 1.0 / LARGEST_GAIN), LARGEST_GAIN))
+# Numbers (four a pixel) that are added up in single precision, before the sum is kept in double.
+BLOCK = 1024
+ZERO, ONE = np.float32(0.0), np.float32(1.0)
+LIMIT = np.float32(ROBUST_LIMIT)
 
 
-@compiled_leaf
-def trimmed_gain(image: Float32Array, covered: BoolArray, query: Float32Array) -> float:
-    """Like ``best_gain``, from those colours alone that are nearly equal already.
+def prepared(query: ImageArray | Float32Array) -> Float32Array:
+    """A camera image as ``compare`` takes it.
 
-    What stands in front of the scene must not change the brightness of what is seen beside it.
+    Args:
+        query: ``(H, W, 3)``, 0 to 255; NaN where it is not to be compared.
+
+    Returns:
+        ``(H, W, 4)``: colours, zero where not to be compared, and 1 where they are, else 0.
     """
-    product, square = 0.0, 0.0
-    for y in range(image.shape[0]):
-        for x in range(image.shape[1]):
-            if covered[y, x] and not np.isnan(query[y, x, 0]):
-                for channel in range(3):
-                    value = image[y, x, channel]
-                    if abs(value - query[y, x, channel]) < ROBUST_LIMIT:
-                        product += value * query[y, x, channel]
-                        square += value * value
-    if square <= 0.0:
-        return 1.0
-    return float(min(max(product / square, 1.0 / LARGEST_GAIN), LARGEST_GAIN))
+    known = np.asarray(np.isfinite(query).all(axis=2))
+    result = np.zeros((*query.shape[:2], 4), dtype=np.float32)
+    result[..., :3] = np.where(known[..., None], query, 0.0)
+    result[..., 3] = known
+    return result
 
 
 @compiled
-def compare(
-    kind: int, image: Float32Array, covered: BoolArray, query: Float32Array, fit_gain: bool
-) -> float:
+def compare(kind: int, image: Float32Array, query: Float32Array, fit_gain: bool) -> float:
     """The cost of one rendered view.
 
     Args:
         kind: a ``Cost``.
-        image: (H, W, 3) rendered, 0 to 255.
-        covered: (H, W).
-        query: (H, W, 3) camera image, 0 to 255; NaN where it is not to be compared.
+        image: (H, W, 4) rendered, 0 to 255, and 1 where covered, else 0.
+        query: (H, W, 4) camera image, see ``prepared``.
         fit_gain: whether one brightness factor is fitted first.
 
     Returns:
         Cost in [0, 1]; smaller is better.
     """
-    gain = np.float32(1.0)
-    if fit_gain and kind == 1:
-        gain = np.float32(trimmed_gain(image, covered, query))
-    elif fit_gain:
-        gain = np.float32(best_gain(image, covered, query))
-    if kind == 0:
-        return _squared(image, covered, query, gain)
-    if kind == 1:
-        return _robust(image, covered, query, gain)
+    a, b = image.reshape(-1), query.reshape(-1)
     if kind == 2:
-        return _correlation(image, covered, query)
-    return _gradient(image, covered, query, gain)
+        return _correlation(a, b)
+    gain = ONE
+    if fit_gain:
+        gain = np.float32(fitted_gain(a, b, kind == 1))
+    if kind == 3:
+        return _gradient(image, query, gain)
+    return _difference(a, b, gain, kind == 1)
 
 
-@compiled_leaf
-def _squared(
-    image: Float32Array, covered: BoolArray, query: Float32Array, gain: np.float32
-) -> float:
-    total, count = 0.0, 0
-    for y in range(image.shape[0]):
-        for x in range(image.shape[1]):
-            if np.isnan(query[y, x, 0]):
-                continue
-            count += 1
-            if covered[y, x]:
-                for channel in range(3):
-                    difference = gain * image[y, x, channel] - query[y, x, channel]
-                    total += difference * difference
-            else:
-                total += 3.0 * 255.0 * 255.0 * UNCOVERED_SQUARED
-    return float(total / (3.0 * 255.0 * 255.0 * max(count, 1)))
-
-
-@compiled_leaf
-def _robust(
-    image: Float32Array, covered: BoolArray, query: Float32Array, gain: np.float32
-) -> float:
-    total, count = 0.0, 0
-    limit = np.float32(ROBUST_LIMIT)
-    for y in range(image.shape[0]):
-        for x in range(image.shape[1]):
-            if np.isnan(query[y, x, 0]):
-                continue
-            count += 1
-            if covered[y, x]:
-                for channel in range(3):
-                    difference = abs(gain * image[y, x, channel] - query[y, x, channel])
-                    total += min(difference, limit)
-            else:
-                total += 3.0 * ROBUST_LIMIT * UNCOVERED_ROBUST
-    return float(total / (3.0 * ROBUST_LIMIT * max(count, 1)))
+@compiled_loop
+def _gain_sums(
+    image: Float32Array, query: Float32Array, limit: np.float32
+) -> tuple[np.float32, np.float32]:
+    """Sums of products and of squares over the colours that differ by less than ``limit``."""
+    product, square = ZERO, ZERO
+    for i in range(len(image) // 4):
+        used = image[4 * i + 3] * query[4 * i + 3]
+        for channel in range(3):
+            value, wanted = image[4 * i + channel], query[4 * i + channel]
+            weight = used if abs(value - wanted) < limit else ZERO
+            product += weight * value * wanted
+            square += weight * value * value
+    return product, square
 
 
 @compiled
-def _correlation(image: Float32Array, covered: BoolArray, query: Float32Array) -> float:
-    count, compared = 0, 0
-    sums = np.zeros(5)
-    for y in range(image.shape[0]):
-        for x in range(image.shape[1]):
-            if np.isnan(query[y, x, 0]):
-                continue
-            compared += 1
-            if covered[y, x]:
-                count += 1
-                for channel in range(3):
-                    a, b = float(image[y, x, channel]), float(query[y, x, channel])
-                    sums[0] += a
-                    sums[1] += b
-                    sums[2] += a * a
-                    sums[3] += b * b
-                    sums[4] += a * b
-    share = count / max(compared, 1)
-    if count == 0:
+def fitted_gain(image: Float32Array, query: Float32Array, trimmed: bool) -> float:
+    """The factor, between 1 / LARGEST_GAIN and LARGEST_GAIN, that fits the image best.
+
+    Args:
+        image: (4 P,) rendered, as for ``compare``, flat.
+        query: (4 P,) likewise.
+        trimmed: whether it is found from those colours alone that are nearly equal already: what
+            stands in front of the scene must not change the brightness of what is seen beside it.
+    """
+    product, square = 0.0, 0.0
+    limit = LIMIT if trimmed else np.float32(np.inf)
+    for first in range(0, len(image), BLOCK):
+        sums = _gain_sums(image[first : first + BLOCK], query[first : first + BLOCK], limit)
+        product += float(sums[0])
+        square += float(sums[1])
+    if square <= 0.0:
+        return 1.0
+    return float(min(max(product / square, 1.0 / LARGEST_GAIN), LARGEST_GAIN))
+
+
+@compiled_loop
+def _difference_sums(
+    image: Float32Array, query: Float32Array, gain: np.float32, robust: bool
+) -> tuple[np.float32, np.float32, np.float32]:
+    """Sum of differences, and numbers of pixels compared with something and compared at all."""
+    total, covered, compared = ZERO, ZERO, ZERO
+    for i in range(len(image) // 4):
+        used = image[4 * i + 3] * query[4 * i + 3]
+        covered += used
+        compared += query[4 * i + 3]
+        red = gain * image[4 * i] - query[4 * i]
+        green = gain * image[4 * i + 1] - query[4 * i + 1]
+        blue = gain * image[4 * i + 2] - query[4 * i + 2]
+        if robust:
+            total += used * (min(abs(red), LIMIT) + min(abs(green), LIMIT) + min(abs(blue), LIMIT))
+        else:
+            total += used * (red * red + green * green + blue * blue)
+    return total, covered, compared
+
+
+@compiled
+def _difference(image: Float32Array, query: Float32Array, gain: np.float32, robust: bool) -> float:
+    """Mean squared or limited absolute difference, relative to the largest."""
+    total, covered, compared = 0.0, 0.0, 0.0
+    for first in range(0, len(image), BLOCK):
+        part, wanted = image[first : first + BLOCK], query[first : first + BLOCK]
+        sums = _difference_sums(part, wanted, gain, robust)
+        total += float(sums[0])
+        covered += float(sums[1])
+        compared += float(sums[2])
+    largest = ROBUST_LIMIT if robust else 255.0 * 255.0
+    uncovered = UNCOVERED_ROBUST if robust else UNCOVERED_SQUARED
+    total += 3.0 * largest * uncovered * (compared - covered)
+    return float(total / (3.0 * largest * max(compared, 1.0)))
+
+
+@compiled_loop
+def _moments(
+    image: Float32Array, query: Float32Array
+) -> tuple[float, float, float, float, float, float, float]:
+    """Numbers of pixels covered and compared; sums of a, b, a a, b b, a b over covered colours."""
+    covered, compared = 0.0, 0.0
+    a1, b1, a2, b2, ab = 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(len(image) // 4):
+        used = np.float64(image[4 * i + 3] * query[4 * i + 3])
+        covered += used
+        compared += query[4 * i + 3]
+        for channel in range(3):
+            a = used * np.float64(image[4 * i + channel])
+            b = used * np.float64(query[4 * i + channel])
+            a1 += a
+            b1 += b
+            a2 += a * a
+            b2 += b * b
+            ab += a * b
+    return covered, compared, a1, b1, a2, b2, ab
+
+
+@compiled
+def _correlation(image: Float32Array, query: Float32Array) -> float:
+    covered, compared, a1, b1, a2, b2, ab = _moments(image, query)
+    share = covered / max(compared, 1.0)
+    if covered == 0.0:
         return UNCOVERED_ZNCC
-    n = 3.0 * count
-    variance_a = sums[2] - sums[0] * sums[0] / n
-    variance_b = sums[3] - sums[1] * sums[1] / n
+    n = 3.0 * covered
+    variance_a, variance_b = a2 - a1 * a1 / n, b2 - b1 * b1 / n
     correlation = 0.0
     # Below one grey level of contrast there is nothing to correlate.
     if variance_a > n and variance_b > n:
-        correlation = (sums[4] - sums[0] * sums[1] / n) / np.sqrt(variance_a * variance_b)
+        correlation = (ab - a1 * b1 / n) / np.sqrt(variance_a * variance_b)
     return float(share * (1.0 - correlation) / 2.0 + (1.0 - share) * UNCOVERED_ZNCC)
 
 
 @compiled_leaf
-def _gradient(
-    image: Float32Array, covered: BoolArray, query: Float32Array, gain: np.float32
-) -> float:
+def _gradient(image: Float32Array, query: Float32Array, gain: np.float32) -> float:
     total = 0.0
     count = 0
     limit = np.float32(GRADIENT_LIMIT)
@@ -190,10 +208,10 @@ def _gradient(
                 other_y, other_x = y + step, x + 1 - step
                 if other_y >= image.shape[0] or other_x >= image.shape[1]:
                     continue
-                if np.isnan(query[y, x, 0]) or np.isnan(query[other_y, other_x, 0]):
+                if query[y, x, 3] * query[other_y, other_x, 3] == 0.0:
                     continue
                 count += 1
-                if not (covered[y, x] and covered[other_y, other_x]):
+                if image[y, x, 3] * image[other_y, other_x, 3] == 0.0:
                     total += 3.0 * GRADIENT_LIMIT * UNCOVERED_GRADIENT
                     continue
                 for channel in range(3):
@@ -201,17 +219,3 @@ def _gradient(
                     taken = query[other_y, other_x, channel] - query[y, x, channel]
                     total += min(abs(gain * rendered - taken), limit)
     return float(total / (3.0 * GRADIENT_LIMIT * max(count, 1)))
-
-
-@compiled
-def compare_all(
-    kind: int,
-    images: Float32Array,
-    covered: BoolArray,
-    query: Float32Array,
-    fit_gain: bool,
-    costs: FloatArray,
-) -> None:
-    """Writes the costs (B,) of B rendered views (B, H, W, 3); see ``compare``."""
-    for index in range(len(images)):
-        costs[index] = compare(kind, images[index], covered[index], query, fit_gain)

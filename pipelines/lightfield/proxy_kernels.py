@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray, IntArray
+from pipelines.artifacts.array_types import Float32Array, FloatArray, IntArray
 from pipelines.lightfield.compiled import compiled, compiled_leaf
 from pipelines.lightfield.proxy import (
     EDGE_FACTOR,
@@ -18,7 +18,7 @@ from pipelines.lightfield.views import ViewArrays
 
 @compiled
 def plane_surface(
-    pose: FloatArray, rays: FloatArray, plane: FloatArray, surface: FloatArray
+    pose: FloatArray, rays: FloatArray, plane: FloatArray, surface: Float32Array
 ) -> None:
     """Writes the plane's inverse depth (H, W) in a virtual image; 0 where it is not seen.
 
@@ -133,7 +133,7 @@ def depth_surface(
     pose: FloatArray,
     intrinsics: FloatArray,
     spacing: float,
-    surface: FloatArray,
+    surface: Float32Array,
 ) -> None:
     """Writes the inverse depth (H, W) of the surface that the depth maps describe; 0: none.
 
@@ -234,28 +234,3 @@ def _interpolated(mesh: FloatArray, x: float, y: float) -> float:
     if lowest > 0.0 and highest <= EDGE_FACTOR * lowest:
         return float((a * (1 - fx) + b * fx) * (1 - fy) + (c * (1 - fx) + d * fx) * fy)
     return float(mesh[top if fy < 0.5 else bottom, left if fx < 0.5 else right])
-
-
-@compiled
-def plane_surfaces(
-    poses: FloatArray, rays: FloatArray, plane: FloatArray, surfaces: FloatArray
-) -> None:
-    """Writes the plane's inverse depth (B, H, W) in B virtual images; see ``plane_surface``."""
-    for index in range(len(poses)):
-        plane_surface(poses[index], rays[index], plane, surfaces[index])
-
-
-@compiled
-def depth_surfaces(
-    views: ViewArrays,
-    usual_inverse_depth: float,
-    poses: FloatArray,
-    intrinsics: FloatArray,
-    spacing: float,
-    surfaces: FloatArray,
-) -> None:
-    """Writes the depth maps' surface (B, H, W) in B virtual images; see ``depth_surface``."""
-    for index in range(len(poses)):
-        depth_surface(
-            views, usual_inverse_depth, poses[index], intrinsics, spacing, surfaces[index]
-        )

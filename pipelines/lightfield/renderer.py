@@ -1,6 +1,7 @@
 """The front of the fast path: renders virtual views, compares many of them with a camera image."""
 
 import os
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -10,18 +11,19 @@ from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray,
 from pipelines.artifacts.errors import OptionError
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
-from pipelines.lightfield.blending import VIEWS_PER_TILE, Blending, tile_count
-from pipelines.lightfield.comparison import Cost, compare_all
-from pipelines.lightfield.kernels import blend_cells, net_cells, prepare, tile_cells
+from pipelines.lightfield.blending import Blending
+from pipelines.lightfield.comparison import Cost, prepared
+from pipelines.lightfield.kernels import draw_views, score_views
 from pipelines.lightfield.proxy import Quality, cell_size, usual_inverse_depth
-from pipelines.lightfield.proxy_kernels import depth_surfaces, plane_surfaces
 from pipelines.lightfield.scene import Scene
+from pipelines.lightfield.view_index import build_index
 from pipelines.lightfield.views import Views, views_of_scene, without_depth
+from pipelines.lightfield.workspace import LightField
 
-# So many poses, or pixels, are worked on together: enough to make the calls' cost small, few enough
-# that what one step writes is still in the processor's cache when the next one reads it.
-POSES_TOGETHER = 16
-PIXELS_TOGETHER = 20_000
+# So many poses, or pixels, are worked on in one call: enough to make its cost small, few enough to
+# share the work evenly between threads.
+POSES_TOGETHER = 64
+PIXELS_TOGETHER = 80_000
 
 
 @dataclass(frozen=True)
@@ -47,14 +49,23 @@ class RenderingWithSurface:
     """A virtual view and how far away what it shows is.
 
     Attributes:
-        image: ``(H, W, 3)`` RGB, 0 to 255, not rounded; zero where uncovered.
-        covered: ``(H, W)`` pixels that at least one view shows.
+        rgba: ``(H, W, 4)`` RGB, 0 to 255, not rounded; and 1 where at least one view shows the
+            pixel. All zero where none does.
         inverse_depth: ``(H, W)`` 1 / metres along the optical axis.
     """
 
-    image: Float32Array
-    covered: BoolArray
-    inverse_depth: FloatArray
+    rgba: Float32Array
+    inverse_depth: Float32Array
+
+    @property
+    def image(self) -> Float32Array:
+        """``(H, W, 3)`` RGB, 0 to 255, not rounded; zero where uncovered."""
+        return self.rgba[..., :3]
+
+    @property
+    def covered(self) -> BoolArray:
+        """``(H, W)`` pixels that at least one view shows."""
+        return np.asarray(self.rgba[..., 3] > 0.0)
 
 
 class Renderer:
@@ -96,8 +107,18 @@ class Renderer:
         self.quality = quality
         self.threads = threads or len(os.sched_getaffinity(0))
         self._pool = ThreadPoolExecutor(self.threads)
-        self._usual_inverse_depth = usual_inverse_depth(self.views)
-        self._in_front = plane.signed_distance(views.centres) > 0.0
+        usable = np.ones(len(views), dtype=np.bool_)
+        if quality is Quality.PLANE:
+            usable = plane.signed_distance(views.centres) > 0.0
+        self._field = LightField(
+            views=self.views.arrays,
+            view_index=build_index(self.views, usable),
+            usable=usable,
+            plane=plane.coefficients(),
+            has_depth=quality is not Quality.PLANE,
+            usual_inverse_depth=float(usual_inverse_depth(self.views)),
+            is_net=blending is Blending.DELAUNAY,
+        )
 
     @classmethod
     def of_scene(
@@ -118,9 +139,8 @@ class Renderer:
             world_from_camera: ``(4, 4)``.
             intrinsics: of the virtual camera; they also set the size of the image.
         """
-        poses = np.ascontiguousarray(world_from_camera[None], dtype=np.float64)
-        images, covered, _ = self._render(poses, intrinsics)
-        return Rendering(np.rint(images[0]).astype(np.uint8), covered[0])
+        images, _ = self._draw(world_from_camera[None], intrinsics)
+        return Rendering(np.rint(images[0, ..., :3]).astype(np.uint8), images[0, ..., 3] > 0.0)
 
     def render_with_surface(
         self, world_from_camera: FloatArray, intrinsics: Intrinsics
@@ -131,9 +151,8 @@ class Renderer:
             world_from_camera: ``(4, 4)``.
             intrinsics: of the virtual camera.
         """
-        poses = np.ascontiguousarray(world_from_camera[None], dtype=np.float64)
-        images, covered, surfaces = self._render(poses, intrinsics)
-        return RenderingWithSurface(images[0], covered[0], surfaces[0])
+        images, surfaces = self._draw(world_from_camera[None], intrinsics)
+        return RenderingWithSurface(images[0], surfaces[0])
 
     def render_many(
         self, world_from_camera: FloatArray, intrinsics: Intrinsics
@@ -152,13 +171,12 @@ class Renderer:
         shape = (len(poses), intrinsics.height, intrinsics.width)
         images = np.empty((*shape, 3), dtype=np.float32)
         covered = np.empty(shape, dtype=np.bool_)
-        together = _poses_together(intrinsics)
 
-        def draw(start: int) -> None:
-            part = slice(start, start + together)
-            images[part], covered[part], _ = self._render(poses[part], intrinsics)
+        def draw(part: slice) -> None:
+            drawn, _ = self._draw(poses[part], intrinsics)
+            images[part], covered[part] = drawn[..., :3], drawn[..., 3] > 0.0
 
-        list(self._pool.map(draw, range(0, len(poses), together)))
+        list(self._pool.map(draw, self._parts(len(poses), intrinsics)))
         return images, covered
 
     def costs(
@@ -190,57 +208,42 @@ class Renderer:
                 f"{intrinsics.width}x{intrinsics.height} pixels"
             )
         poses = np.ascontiguousarray(world_from_camera, dtype=np.float64)
-        target = np.ascontiguousarray(query, dtype=np.float32)
+        target, vector, spacing = prepared(query), intrinsics.vector(), self._spacing(intrinsics)
         costs = np.empty(len(poses))
-        together = _poses_together(intrinsics)
 
-        def score(start: int) -> None:
-            images, covered, _ = self._render(poses[start : start + together], intrinsics)
-            own = costs[start : start + together]
-            compare_all(int(cost), images, covered, target, fit_gain, own)
+        def score(part: slice) -> None:
+            own = poses[part]
+            score_views(self._field, own, vector, spacing, target, int(cost), fit_gain, costs[part])
 
-        list(self._pool.map(score, range(0, len(poses), together)))
+        list(self._pool.map(score, self._parts(len(poses), intrinsics)))
         return costs
 
-    def _render(
-        self, poses: FloatArray, intrinsics: Intrinsics
-    ) -> tuple[Float32Array, BoolArray, FloatArray]:
+    def _draw(
+        self, world_from_camera: FloatArray, intrinsics: Intrinsics
+    ) -> tuple[Float32Array, Float32Array]:
         """Views from poses ``(B, 4, 4)``.
 
         Returns:
-            Images ``(B, H, W, 3)``, covered pixels ``(B, H, W)`` and inverse depths ``(B, H, W)``.
+            Images ``(B, H, W, 4)``, RGB and whether the pixel is covered, and inverse depths
+            ``(B, H, W)``.
         """
-        arrays, vector = self.views.arrays, intrinsics.vector()
+        poses = np.ascontiguousarray(world_from_camera, dtype=np.float64)
         shape = (len(poses), intrinsics.height, intrinsics.width)
-        rays = np.empty((len(poses), 3, 3))
-        maps = np.empty((len(poses), len(self.views), 3, 3))
-        shifts = np.empty((len(poses), len(self.views), 3))
-        prepare(poses, vector, arrays.projection, rays, maps, shifts)
-        surfaces = np.empty(shape)
-        usable = np.ones((len(poses), len(self.views)), dtype=np.bool_)
-        has_depth = self.quality is not Quality.PLANE
-        if has_depth:
-            spacing = cell_size(self.views, intrinsics, self.quality)
-            depth_surfaces(arrays, self._usual_inverse_depth, poses, vector, spacing, surfaces)
-        else:
-            plane_surfaces(poses, rays, self.plane.coefficients(), surfaces)
-            usable[:] = self._in_front
-        cells = 4 * len(self.views) + 8
-        if self.blending is Blending.UNSTRUCTURED:
-            cells = tile_count(shape[1]) * tile_count(shape[2])
-        cell_views = np.empty((len(poses), cells, VIEWS_PER_TILE), dtype=np.int64)
-        cell_weights = np.empty((len(poses), cells, VIEWS_PER_TILE, 4))
-        labels = np.empty(shape, dtype=np.int64)
-        built = (maps, shifts, usable, cell_views, cell_weights, labels)
-        if self.blending is Blending.UNSTRUCTURED:
-            tile_cells(poses, rays, surfaces, arrays, *built)
-        else:
-            net_cells(poses, vector, surfaces, arrays, *built)
-        images = np.empty((*shape, 3), dtype=np.float32)
-        covered = np.empty(shape, dtype=np.bool_)
-        blend_cells(poses, vector, has_depth, surfaces, arrays, *built, images, covered)
-        return images, covered, surfaces
+        images = np.empty((*shape, 4), dtype=np.float32)
+        surfaces = np.empty(shape, dtype=np.float32)
+        spacing = self._spacing(intrinsics)
+        draw_views(self._field, poses, intrinsics.vector(), spacing, surfaces, images)
+        return images, surfaces
 
+    def _spacing(self, intrinsics: Intrinsics) -> float:
+        """Distance of the corners of the surface's mesh, virtual pixels."""
+        if self.quality is Quality.PLANE:
+            return 1.0
+        return float(cell_size(self.views, intrinsics, self.quality))
 
-def _poses_together(intrinsics: Intrinsics) -> int:
-    return max(1, min(POSES_TOGETHER, PIXELS_TOGETHER // (intrinsics.width * intrinsics.height)))
+    def _parts(self, count: int, intrinsics: Intrinsics) -> Iterator[slice]:
+        """Poses that are worked on in one call, so that every thread gets some."""
+        pixels = intrinsics.width * intrinsics.height
+        most = max(1, min(POSES_TOGETHER, PIXELS_TOGETHER // pixels))
+        together = min(most, max(1, -(-count // self.threads)))
+        return (slice(start, start + together) for start in range(0, count, together))

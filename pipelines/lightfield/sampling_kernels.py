@@ -1,163 +1,277 @@
-"""Reading views: where a surface point lies in a view, and what it shows along a run of pixels.
+"""Reading views: where the surface points of some pixels lie in a view, and what it shows there.
 
-The innermost loop of the fast renderer; everything that does not change along a run is read once.
+The innermost part of the fast renderer. It works on chunks of up to ``CHUNK`` pixels in two steps:
+places and weights of all of them, sixteen at once, as plain arithmetic on flat arrays
+(``place_samples``), then the photo's texels, a pixel at a time (``add_samples``).
 """
 
 import numpy as np
 
-from pipelines.artifacts.array_types import Float32Array, FloatArray, ImageArray, IntArray
-from pipelines.lightfield.blending_kernels import is_occluded
-from pipelines.lightfield.compiled import compiled_leaf
+from pipelines.artifacts.array_types import (
+    Float32Array,
+    FloatArray,
+    ImageArray,
+    Int32Array,
+)
+from pipelines.lightfield.blending import OCCLUSION_FACTOR
+from pipelines.lightfield.compiled import compiled_leaf, compiled_loop
+from pipelines.lightfield.texel_intrinsic import add_texels
+
+# Pixels that are worked on together; what they need stays in the processor's nearest cache.
+CHUNK = 128
+# Chunks are filled up to a multiple of this, what a processor works on at once.
+LANES = 16
+# Rows of a chunk's scratch: x, y, inverse depth; what comes out: fraction, upper and lower weight;
+# and the place in the view's finest level and the point's inverse depth there.
+X, Y, SURFACE, FRACTION, UPPER, LOWER, COLUMN, ROW, NEARNESS = range(9)
+SCRATCH_ROWS = 9
+# Numbers that take a chunk's pixels into a view: map (9), shift (3), weight (4).
+COEFFICIENTS = 16
+ZERO, HALF, ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+FIRST_Y, FIRST_SURFACE = np.uintp(CHUNK * Y), np.uintp(CHUNK * SURFACE)
+HIDDEN = np.float32(OCCLUSION_FACTOR)
 
 
-@compiled_leaf
-def locate(
-    x: int, y: int, inverse_depth: float, view: int, maps: FloatArray, shifts: FloatArray
-) -> tuple[float, float, float]:
-    """Column and row in a view of a virtual pixel's surface point, and its depth there.
-
-    The depth is relative to the virtual one; it is 0 for points behind the view.
-    """
-    depth = (
-        maps[view, 2, 0] * x
-        + maps[view, 2, 1] * y
-        + maps[view, 2, 2]
-        + shifts[view, 2] * inverse_depth
-    )
-    if depth <= 0.0:
-        return 0.0, 0.0, 0.0
-    reciprocal = 1.0 / depth
-    u = (
-        maps[view, 0, 0] * x
-        + maps[view, 0, 1] * y
-        + maps[view, 0, 2]
-        + shifts[view, 0] * inverse_depth
-    ) * reciprocal
-    v = (
-        maps[view, 1, 0] * x
-        + maps[view, 1, 1] * y
-        + maps[view, 1, 2]
-        + shifts[view, 1] * inverse_depth
-    ) * reciprocal
-    return u, v, depth
-
-
-@compiled_leaf
-def is_inside(level_size: IntArray, view: int, u: float, v: float) -> bool:
-    """Whether a place lies inside a view's image."""
-    return bool(
-        -0.5 <= u <= level_size[view, 0, 0] - 0.5 and -0.5 <= v <= level_size[view, 0, 1] - 0.5
-    )
-
-
-@compiled_leaf
-def pyramid_level(scale: float, levels: int) -> int:
-    """The level on which a pixel that spans ``scale`` pixels of the finest one spans about one."""
-    level, limit = 0, np.sqrt(2.0)
-    while level + 1 < levels and scale >= limit:
-        level += 1
-        limit *= 2.0
-    return level
-
-
-@compiled_leaf
-def add_view(
-    y: int,
-    first: int,
-    last: int,
-    view: int,
-    cell: int,
-    slot: int,
-    weights: FloatArray,
-    has_depth: bool,
-    surface: FloatArray,
-    maps: FloatArray,
-    shifts: FloatArray,
-    focal_ratio: float,
-    texels: ImageArray,
-    level_start: IntArray,
-    level_size: IntArray,
-    inverse_depth: Float32Array,
-    depth_start: IntArray,
-    depth_size: IntArray,
-    total: Float32Array,
-    image: Float32Array,
+@compiled_loop
+def load_chunk(
+    columns: Float32Array,
+    rows: Float32Array,
+    surface: Float32Array,
+    pixels: Int32Array,
+    first: np.uintp,
+    count: np.uintp,
+    scratch: Float32Array,
 ) -> None:
-    """Adds what one view shows, times its weight, to a run of pixels of one row.
+    """Writes places, relative to the first, and inverse depths of a chunk's pixels.
 
-    All that does not change along the run is read once, before the loop.
+    Indices are unsigned: for signed ones the compiler would have to count from the end, too, and
+    could not see that they follow each other.
 
     Args:
-        y: the row.
-        first: first column of the run.
-        last: column behind the run.
-        view: which.
-        cell: of the run, and
-        slot: of the view in it: where its weight stands in
-        weights: (c, k, 4) coefficients of x, y, 1, x y.
-        has_depth: whether depth maps may hide the surface.
-        surface: (H, W) virtual inverse depth.
-        maps: (N, 3, 3), shifts: (N, 3), see ``view_mapping``.
-        focal_ratio: focal length of the view over that of the virtual camera.
-        texels: and the following five: see ``ViewArrays``.
-        total: (W,) sums of weights, changed.
-        image: (H, W, 3) sums of weighted colours, changed.
+        columns: (P,) places of the pixels in the order of their cells, and
+        rows: likewise.
+        surface: (P,) inverse depth of the pixels in their own order.
+        pixels: (P,) int32 the pixels in the order of their cells.
+        first: the chunk's first in that order.
+        count: pixels of the chunk.
+        scratch: receives the first three rows; from ``count`` on there is no surface.
     """
-    weight_step = weights[cell, slot, 0] + weights[cell, slot, 3] * y
-    weight_base = weights[cell, slot, 1] * y + weights[cell, slot, 2]
-    step_u, step_v, step_w = maps[view, 0, 0], maps[view, 1, 0], maps[view, 2, 0]
-    base_u = maps[view, 0, 1] * y + maps[view, 0, 2]
-    base_v = maps[view, 1, 1] * y + maps[view, 1, 2]
-    base_w = maps[view, 2, 1] * y + maps[view, 2, 2]
-    shift_u, shift_v, shift_w = shifts[view, 0], shifts[view, 1], shifts[view, 2]
-    full_width, full_height = level_size[view, 0, 0], level_size[view, 0, 1]
-    right_border, lower_border = full_width - 0.5, full_height - 0.5
-    levels = level_size.shape[1]
-    # A level is right for depths in (nearest, farthest]; most often the next pixel needs the same.
-    nearest, farthest = np.inf, -np.inf
-    width, height, start = 1, 1, 0
-    scale_x, scale_y = 1.0, 1.0
-    for x in range(first, last):
-        weight = np.float32(weight_step * x + weight_base)
-        own = surface[y, x]
-        if weight <= 0.0 or own <= 0.0:
-            continue
-        depth = step_w * x + base_w + shift_w * own
-        if depth <= 0.0:
-            continue
-        reciprocal = 1.0 / depth
-        u = (step_u * x + base_u + shift_u * own) * reciprocal
-        v = (step_v * x + base_v + shift_v * own) * reciprocal
-        if not (-0.5 <= u <= right_border and -0.5 <= v <= lower_border):
-            continue
-        if has_depth and is_occluded(
-            inverse_depth, depth_start, depth_size, level_size, view, u, v, own * reciprocal
-        ):
-            continue
-        if depth <= nearest or depth > farthest:
-            level = pyramid_level(focal_ratio * reciprocal, levels)
-            width, height = level_size[view, level, 0], level_size[view, level, 1]
-            start = level_start[view, level]
-            scale_x, scale_y = width / full_width, height / full_height
-            coarsest = level + 1 >= levels
-            nearest = 0.0 if coarsest else focal_ratio / (np.sqrt(2.0) * 2.0**level)
-            farthest = np.inf if level == 0 else focal_ratio * np.sqrt(2.0) / 2.0**level
-        u = min(max((u + 0.5) * scale_x - 0.5, 0.0), width - 1.0)
-        v = min(max((v + 0.5) * scale_y - 0.5, 0.0), height - 1.0)
-        left, top = int(u), int(v)
-        upper = start + top * width + left
-        lower = upper + (width if top + 1 < height else 0)
-        right = 1 if left + 1 < width else 0
-        fraction_x, fraction_y = np.float32(u - left), np.float32(v - top)
-        rest_y = weight * (np.float32(1.0) - fraction_y)
-        fraction_y *= weight
-        b, d = fraction_x * rest_y, fraction_x * fraction_y
-        a, c = rest_y - b, fraction_y - d
-        total[x] += weight
-        for channel in range(3):
-            image[y, x, channel] += (
-                a * np.float32(texels[upper, channel])
-                + b * np.float32(texels[upper + right, channel])
-                + c * np.float32(texels[lower, channel])
-                + d * np.float32(texels[lower + right, channel])
-            )
+    x0, y0 = columns[first], rows[first]
+    for i in range(count):
+        scratch[i] = columns[first + i] - x0
+    for i in range(count):
+        scratch[i + FIRST_Y] = rows[first + i] - y0
+    for i in range(FIRST_Y):
+        scratch[i + FIRST_SURFACE] = ZERO
+    for i in range(count):
+        scratch[i + FIRST_SURFACE] = surface[pixels[first + i]]
+
+
+@compiled_leaf
+def chunk_coefficients(
+    maps: FloatArray,
+    shifts: FloatArray,
+    view: int,
+    weights: FloatArray,
+    origins: FloatArray,
+    cell: int,
+    slot: int,
+    x: float,
+    y: float,
+    coefficients: Float32Array,
+) -> None:
+    """Writes what takes pixels into a view, relative to the chunk's first pixel.
+
+    Relative to a near pixel the numbers are small, and single precision is enough for them.
+
+    Args:
+        maps: (N, 3, 3) and
+        shifts: (N, 3), see ``view_mapping``.
+        view: which.
+        weights: (c, k, 4) coefficients of x, y, 1, x y, relative to
+        origins: (c, 2) columns and rows.
+        cell: of the pixels, and
+        slot: of the view in it.
+        x: column of the first pixel, and
+        y: its row.
+        coefficients: (COEFFICIENTS,) receives map, shift and weight.
+    """
+    for i in range(3):
+        coefficients[3 * i] = maps[view, i, 0]
+        coefficients[3 * i + 1] = maps[view, i, 1]
+        coefficients[3 * i + 2] = maps[view, i, 0] * x + maps[view, i, 1] * y + maps[view, i, 2]
+        coefficients[9 + i] = shifts[view, i]
+    a, b = weights[cell, slot, 0], weights[cell, slot, 1]
+    c, d = weights[cell, slot, 2], weights[cell, slot, 3]
+    across, down = x - origins[cell, 0], y - origins[cell, 1]
+    coefficients[12] = a + d * down
+    coefficients[13] = b + d * across
+    coefficients[14] = a * across + b * down + c + d * across * down
+    coefficients[15] = d
+
+
+@compiled_loop
+def place_samples(
+    scratch: Float32Array,
+    offsets: Int32Array,
+    count: int,
+    coefficients: Float32Array,
+    nearest: np.float32,
+    farthest: np.float32,
+    start: np.int32,
+    width: np.int32,
+    height: np.int32,
+    full_width: np.float32,
+    full_height: np.float32,
+) -> tuple[np.float32, np.float32]:
+    """Where in a pyramid level of a view a chunk's surface points lie, and with which weight.
+
+    Args:
+        scratch: (SCRATCH_ROWS * CHUNK,); the first three rows are read, the others written.
+        offsets: (CHUNK,) int32 receives the index of each point's upper left texel.
+        count: pixels of the chunk, a multiple of ``LANES``.
+        coefficients: see ``chunk_coefficients``.
+        nearest: depths, relative to the virtual one, in (nearest, farthest] belong to the level.
+        farthest: see there.
+        start: index of the level's first texel.
+        width: of the level, and
+        height: likewise.
+        full_width: of the view's finest level, and
+        full_height: likewise.
+
+    Returns:
+        How many of the points the view shows on this level, and how many on other levels. All
+        others get the weight 0.
+    """
+    m0, m1, m2, m3, m4 = (
+        coefficients[0],
+        coefficients[1],
+        coefficients[2],
+        coefficients[3],
+        coefficients[4],
+    )
+    m5, m6, m7, m8 = coefficients[5], coefficients[6], coefficients[7], coefficients[8]
+    s0, s1, s2 = coefficients[9], coefficients[10], coefficients[11]
+    w0, w1, w2, w3 = coefficients[12], coefficients[13], coefficients[14], coefficients[15]
+    right, bottom = full_width - HALF, full_height - HALF
+    scale_x, scale_y = np.float32(width) / full_width, np.float32(height) / full_height
+    last_x, last_y = np.float32(width - 1), np.float32(height - 1)
+    # The texel on the right and the row below are there; at the border they get all the weight.
+    last_left, last_top = max(last_x - ONE, ZERO), max(last_y - ONE, ZERO)
+    here, elsewhere = ZERO, ZERO
+    for i in range(count):
+        x, y, d = scratch[i], scratch[CHUNK + i], scratch[SURFACE * CHUNK + i]
+        depth = m6 * x + m7 * y + m8 + s2 * d
+        reciprocal = ONE / depth
+        u = (m0 * x + m1 * y + m2 + s0 * d) * reciprocal
+        v = (m3 * x + m4 * y + m5 + s1 * d) * reciprocal
+        weight = w0 * x + w1 * y + w2 + w3 * x * y
+        is_shown = (depth > ZERO) & (d > ZERO) & (weight > ZERO)
+        is_shown &= (u >= -HALF) & (u <= right) & (v >= -HALF) & (v <= bottom)
+        is_here = is_shown & (depth > nearest) & (depth <= farthest)
+        here += ONE if is_here else ZERO
+        elsewhere += ONE if is_shown & ~is_here else ZERO
+        weight = weight if is_here else ZERO
+        u = u if is_here else ZERO
+        v = v if is_here else ZERO
+        scratch[COLUMN * CHUNK + i] = u
+        scratch[ROW * CHUNK + i] = v
+        scratch[NEARNESS * CHUNK + i] = d * reciprocal
+        u = min(max((u + HALF) * scale_x - HALF, ZERO), last_x)
+        v = min(max((v + HALF) * scale_y - HALF, ZERO), last_y)
+        left, top = np.int32(min(u, last_left)), np.int32(min(v, last_top))
+        offsets[i] = start + top * width + left
+        scratch[FRACTION * CHUNK + i] = u - np.float32(left)
+        lower = weight * (v - np.float32(top))
+        scratch[LOWER * CHUNK + i] = lower
+        scratch[UPPER * CHUNK + i] = weight - lower
+    return here, elsewhere
+
+
+@compiled_loop
+def _depth_places(
+    scratch: Float32Array,
+    places: Int32Array,
+    count: int,
+    scale_x: np.float32,
+    scale_y: np.float32,
+    width: np.int32,
+    height: np.int32,
+) -> None:
+    """Writes where in a view's depth map a chunk's points lie."""
+    last_x, last_y = width - np.int32(1), height - np.int32(1)
+    for i in range(count):
+        column = np.int32((scratch[COLUMN * CHUNK + i] + HALF) * scale_x)
+        row = np.int32((scratch[ROW * CHUNK + i] + HALF) * scale_y)
+        places[i] = min(row, last_y) * width + min(column, last_x)
+
+
+@compiled_leaf
+def leave_out_hidden(
+    scratch: Float32Array,
+    places: Int32Array,
+    count: int,
+    inverse_depth: Float32Array,
+    start: int,
+    width: int,
+    height: int,
+    full_width: int,
+    full_height: int,
+) -> None:
+    """Takes the weight of points before which the view sees something nearer.
+
+    Args:
+        scratch: as ``place_samples`` left it; weights are changed.
+        places: (CHUNK,) int32, overwritten.
+        count: pixels of the chunk, a multiple of ``LANES``.
+        inverse_depth: depth maps of all views; see ``ViewArrays``.
+        start: where the view's begins.
+        width: of it; 0: there is none.
+        height: of it.
+        full_width: of the view's finest level, and
+        full_height: likewise.
+    """
+    if width == 0:
+        return
+    scale_x, scale_y = np.float32(width / full_width), np.float32(height / full_height)
+    _depth_places(scratch, places, count, scale_x, scale_y, np.int32(width), np.int32(height))
+    for i in range(count):
+        if inverse_depth[start + places[i]] > HIDDEN * scratch[NEARNESS * CHUNK + i]:
+            scratch[UPPER * CHUNK + i] = ZERO
+            scratch[LOWER * CHUNK + i] = ZERO
+
+
+@compiled_leaf
+def add_samples(
+    scratch: Float32Array,
+    offsets: Int32Array,
+    pixels: Int32Array,
+    first: int,
+    count: int,
+    texels: ImageArray,
+    width: np.int32,
+    image: Float32Array,
+) -> None:
+    """Adds a chunk's weighted colours to its pixels.
+
+    Args:
+        scratch: as the steps before left it.
+        offsets: (CHUNK,) int32 index of each point's upper left texel.
+        pixels: (P,) int32 pixels in the order of their cells.
+        first: the chunk's first in that order.
+        count: pixels of the chunk.
+        texels: (T, 4).
+        width: of the pyramid level.
+        image: (P, 4) sums of weighted colours and of 255 times the weights, changed.
+    """
+    for i in range(count):
+        add_texels(
+            texels,
+            offsets[i],
+            offsets[i] + width,
+            scratch[FRACTION * CHUNK + i],
+            scratch[UPPER * CHUNK + i],
+            scratch[LOWER * CHUNK + i],
+            image,
+            pixels[first + i],
+        )

@@ -25,8 +25,8 @@ class ViewArrays(NamedTuple):
     """The numbers of N posed pinhole photos, in the form that compiled code takes.
 
     Attributes:
-        texels: ``(T, 4)`` uint8, RGB and a pad byte (a pixel is one aligned 32-bit read): all
-            pyramid levels of all views, row by row.
+        texels: ``(T, 4)`` uint8, RGB and 255, by which weights are added up along with colours: all
+            pyramid levels of all views, row by row, and at least one more row.
         level_start: ``(N, L)`` index of a level's first texel.
         level_size: ``(N, L, 2)`` width and height of each level; level 0 is the finest. Views with
             fewer levels repeat their last one.
@@ -133,7 +133,10 @@ def _packed_pyramids(images: Sequence[ImageArray]) -> tuple[ImageArray, IntArray
     level_count = max(len(pyramid) for pyramid in pyramids)
     level_start = np.zeros((len(pyramids), level_count), dtype=np.int64)
     level_size = np.zeros((len(pyramids), level_count, 2), dtype=np.int64)
-    texels = np.zeros((sum(p.shape[0] * p.shape[1] for q in pyramids for p in q), 4), np.uint8)
+    # Readers may look one texel to the right and one row down, beyond the last image too.
+    beyond = max(image.shape[1] for image in images) + 2
+    count = sum(p.shape[0] * p.shape[1] for q in pyramids for p in q)
+    texels = np.full((count + beyond, 4), 255, dtype=np.uint8)
     position = 0
     for view, pyramid in enumerate(pyramids):
         for level, image in enumerate(pyramid):

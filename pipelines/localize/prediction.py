@@ -12,10 +12,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp
 
 from pipelines.artifacts.array_types import FloatArray
 from pipelines.localize.belief import Region
+from pipelines.localize.mixture_kernels import log_mixture_density
 from pipelines.localize.resampling import resample
 from pipelines.localize.state_space import StateSpace
 
@@ -82,10 +82,16 @@ class Prediction:
         space, positions, angles = self.space, self.space.positions, self.space.angles
         position_sigma = max(self.position_sigma, SMALLEST_POSITION_SIGMA)
         angle_sigma = max(self.angle_sigma, SMALLEST_ANGLE_SIGMA)
-        own, others = states[:, None, :positions], self.centres[None, :, :positions]
-        distance = np.sum((own - others) ** 2, axis=2) / position_sigma**2
-        angle = (space.pair_angles(states, self.centres) / angle_sigma) ** 2
-        exponent = self.log_weights[None, :] - 0.5 * (distance + angle)
+        densities = np.empty(len(states))
+        log_mixture_density(
+            np.ascontiguousarray(states[:, :positions]),
+            np.ascontiguousarray(self.centres[:, :positions]),
+            space.pair_angles(states, self.centres),
+            self.log_weights,
+            position_sigma,
+            angle_sigma,
+            densities,
+        )
         normal = positions * math.log(position_sigma) + angles * math.log(angle_sigma)
         normal += 0.5 * space.dimension * math.log(2.0 * math.pi)
-        return np.asarray(logsumexp(exponent, axis=1) - normal, dtype=np.float64)
+        return np.asarray(densities - normal, dtype=np.float64)

@@ -21,7 +21,7 @@ import numpy as np
 
 from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray
 from pipelines.geometry.camera import Intrinsics
-from pipelines.lightfield.comparison import LARGEST_GAIN
+from pipelines.lightfield.comparison import LARGEST_GAIN, prepared
 from pipelines.lightfield.renderer import Renderer, RenderingWithSurface
 from pipelines.localize.alignment_kernels import (
     fitted_brightness,
@@ -101,16 +101,14 @@ class _Level:
         # Every few pixels tell the brightness as well as all of them.
         stride = max(1, self.intrinsics.width // 40)
         gain, offset, scale = fitted_brightness(
-            view.image, view.covered, self.target, stride, TUKEY, SMALLEST_SCALE, LARGEST_GAIN
+            view.rgba, self.target, stride, TUKEY, SMALLEST_SCALE, LARGEST_GAIN
         )
         return _Look(view, gain, offset, scale)
 
     def error(self, look: _Look, scale: float) -> float:
         """Robust error of a look, squared grey levels."""
         view = look.view
-        return robust_error(
-            view.image, view.covered, self.target, look.gain, look.offset, TUKEY * scale
-        )
+        return robust_error(view.rgba, self.target, look.gain, look.offset, TUKEY * scale)
 
     def normal_equations(
         self, state: FloatArray, look: _Look
@@ -126,8 +124,7 @@ class _Level:
         count = len(axes) + 2
         hessian, clusters = np.zeros((count, count)), np.zeros((TILES_ACROSS**2, count))
         normal_equations(
-            view.image,
-            view.covered,
+            view.rgba,
             view.inverse_depth,
             self.target,
             look.gain,
@@ -178,7 +175,7 @@ def refine(
     """
     result = _failed(space, np.array(state, dtype=np.float64))
     for observation in observations:
-        target = observation.image
+        target = prepared(observation.image)
         level = _Level(renderer, space, body_from_camera, observation.intrinsics, target)
         result = _refine_level(level, result.state, iterations)
         if not math.isfinite(result.error):

@@ -1,0 +1,254 @@
+"""Cells, fast: the net of a virtual view as cells, and what the views of cells show.
+
+A cell is a region of the virtual image with some views and their weights. Pixels are worked on cell
+by cell, so that everything that is the same for a cell is computed once.
+"""
+
+import numpy as np
+
+from pipelines.artifacts.array_types import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    ImageArray,
+    Int32Array,
+    IntArray,
+)
+from pipelines.lightfield.compiled import compiled, compiled_leaf
+from pipelines.lightfield.mapping_kernels import is_inside, locate, view_mapping
+from pipelines.lightfield.net_kernels import build_net
+from pipelines.lightfield.reference import FRUSTUM_SAMPLES
+from pipelines.lightfield.sampling_kernels import (
+    CHUNK,
+    LANES,
+    SURFACE,
+    add_samples,
+    chunk_coefficients,
+    leave_out_hidden,
+    load_chunk,
+    place_samples,
+)
+from pipelines.lightfield.workspace import LightField, Workspace
+
+# On a pyramid level a pixel spans about one: levels change where it spans sqrt(2) 2^k of the finest
+# one's, at these depths times the ratio of focal lengths.
+LEVEL_BORDERS = np.sqrt(2.0) / 2.0 ** np.arange(32)
+
+
+@compiled
+def set_net(
+    field: LightField,
+    pose: FloatArray,
+    intrinsics: FloatArray,
+    surface: Float32Array,
+    width: int,
+    space: Workspace,
+) -> int:
+    """Sets the cells of the Delaunay net of the views that see any of the virtual frustum."""
+    views, height = field.views, len(surface) // width
+    for view in range(len(views.centres)):
+        space.takes_part[view] = field.usable[view]
+        if not field.usable[view]:
+            continue
+        view_mapping(views.projection, view, pose, space.rays, space.maps, space.shifts)
+        space.is_mapped[view] = True
+        sees = False
+        for i in range(FRUSTUM_SAMPLES):
+            y = i * (height - 1) // (FRUSTUM_SAMPLES - 1)
+            for j in range(FRUSTUM_SAMPLES):
+                x = j * (width - 1) // (FRUSTUM_SAMPLES - 1)
+                d = surface[y * width + x]
+                u, v, depth = locate(x, y, d, view, space.maps, space.shifts)
+                is_seen = d > 0.0 and depth > 0.0 and is_inside(views.level_size, view, u, v)
+                sees = sees or is_seen
+        space.takes_part[view] = sees
+    cells = build_net(
+        views.centres,
+        pose[:3, 3],
+        pose[:3, :3],
+        intrinsics,
+        space.takes_part,
+        space.cell_views,
+        space.cell_weights,
+        space.labels,
+    )
+    if cells > 0:
+        _order_by_label(space.labels, cells, space)
+    return cells
+
+
+@compiled
+def _order_by_label(labels: IntArray, cells: int, space: Workspace) -> None:
+    """Writes the pixels cell by cell."""
+    starts = space.starts
+    starts[: cells + 1] = 0
+    height, width = labels.shape
+    for y in range(height):
+        for x in range(width):
+            starts[labels[y, x] + 1] += 1
+    for cell in range(cells):
+        starts[cell + 1] += starts[cell]
+    for y in range(height):
+        for x in range(width):
+            place = starts[labels[y, x]]
+            starts[labels[y, x]] += 1
+            space.columns[place], space.rows[place] = x, y
+            space.pixels[place] = y * width + x
+    # Each start has moved to the next one's place.
+    for cell in range(cells, 0, -1):
+        starts[cell] = starts[cell - 1]
+    starts[0] = 0
+
+
+@compiled
+def blend_cells(
+    field: LightField,
+    has_depth: bool,
+    pose: FloatArray,
+    focal: float,
+    surface: Float32Array,
+    cells: int,
+    cell_views: IntArray,
+    cell_weights: FloatArray,
+    cell_origins: FloatArray,
+    starts: IntArray,
+    columns: Float32Array,
+    rows: Float32Array,
+    pixels: Int32Array,
+    space: Workspace,
+    image: Float32Array,
+) -> None:
+    """Adds to each pixel what the views of its cell show, times their weights."""
+    for cell in range(cells):
+        for first in range(starts[cell], starts[cell + 1], CHUNK):
+            _blend_chunk(
+                cell,
+                first,
+                min(CHUNK, starts[cell + 1] - first),
+                has_depth,
+                pose,
+                focal,
+                surface,
+                cell_views,
+                cell_weights,
+                cell_origins,
+                columns,
+                rows,
+                pixels,
+                field.views.projection,
+                field.views.focal,
+                field.views.texels,
+                field.views.level_start,
+                field.views.level_size,
+                field.views.inverse_depth,
+                field.views.depth_start,
+                field.views.depth_size,
+                space.rays,
+                space.maps,
+                space.shifts,
+                space.is_mapped,
+                space.scratch,
+                space.offsets,
+                space.places,
+                space.coefficients,
+                image,
+            )
+
+
+@compiled_leaf
+def _blend_chunk(
+    cell: int,
+    first: int,
+    count: int,
+    has_depth: bool,
+    pose: FloatArray,
+    focal: float,
+    surface: Float32Array,
+    cell_views: IntArray,
+    cell_weights: FloatArray,
+    cell_origins: FloatArray,
+    columns: Float32Array,
+    rows: Float32Array,
+    pixels: Int32Array,
+    projection: FloatArray,
+    focals: FloatArray,
+    texels: ImageArray,
+    level_start: IntArray,
+    level_size: IntArray,
+    inverse_depth: Float32Array,
+    depth_start: IntArray,
+    depth_size: IntArray,
+    rays: FloatArray,
+    maps: FloatArray,
+    shifts: FloatArray,
+    is_mapped: BoolArray,
+    scratch: Float32Array,
+    offsets: Int32Array,
+    places: Int32Array,
+    coefficients: Float32Array,
+    image: Float32Array,
+) -> None:
+    """``_blend_cells`` for up to ``CHUNK`` pixels of one cell, from ``first`` on in their order."""
+    x0, y0 = columns[first], rows[first]
+    filled = (count + LANES - 1) // LANES * LANES
+    load_chunk(columns, rows, surface, pixels, np.uintp(first), np.uintp(count), scratch)
+    levels = level_size.shape[1]
+    for slot in range(cell_views.shape[1]):
+        view = cell_views[cell, slot]
+        if view < 0:
+            break
+        if not is_mapped[view]:
+            view_mapping(projection, view, pose, rays, maps, shifts)
+            is_mapped[view] = True
+        chunk_coefficients(
+            maps, shifts, view, cell_weights, cell_origins, cell, slot, x0, y0, coefficients
+        )
+        ratio = focals[view] / focal
+        full_width, full_height = level_size[view, 0, 0], level_size[view, 0, 1]
+        # Most chunks need one level, that of their first pixel; others are gone through.
+        middle = coefficients[8] + coefficients[11] * scratch[SURFACE * CHUNK]
+        guess = 0
+        while guess + 1 < levels and middle <= ratio * LEVEL_BORDERS[guess + 1]:
+            guess += 1
+        for turn in range(levels):
+            level = guess if turn == 0 else (turn - 1 if turn <= guess else turn)
+            nearest = ratio * LEVEL_BORDERS[level + 1] if level + 1 < levels else 0.0
+            farthest = ratio * LEVEL_BORDERS[level] if level > 0 else np.inf
+            here, elsewhere = place_samples(
+                scratch,
+                offsets,
+                filled,
+                coefficients,
+                np.float32(nearest),
+                np.float32(farthest),
+                np.int32(level_start[view, level]),
+                np.int32(level_size[view, level, 0]),
+                np.int32(level_size[view, level, 1]),
+                np.float32(full_width),
+                np.float32(full_height),
+            )
+            if here > 0:
+                if has_depth:
+                    leave_out_hidden(
+                        scratch,
+                        places,
+                        filled,
+                        inverse_depth,
+                        depth_start[view],
+                        depth_size[view, 0],
+                        depth_size[view, 1],
+                        full_width,
+                        full_height,
+                    )
+                add_samples(
+                    scratch,
+                    offsets,
+                    pixels,
+                    first,
+                    count,
+                    texels,
+                    np.int32(level_size[view, level, 0]),
+                    image,
+                )
+            if elsewhere == 0:
+                break

@@ -1,0 +1,315 @@
+"""The views that show surface points best, fast: the ranking of ``blending``, compiled.
+
+Sixteen points are looked at together. For each view in turn the penalties at all of them are
+computed, and each point keeps its best few. Whole groups of views (``view_index``) are passed over
+when even the best that they could hold is worse than what every point has: the angle between a ray
+to a point and any ray from inside a sphere differs from that to the sphere's centre by no more than
+the sphere's own angle allows.
+"""
+
+import numpy as np
+
+from pipelines.artifacts.array_types import Float32Array, FloatArray, Int32Array, IntArray
+from pipelines.lightfield.blending import (
+    BORDER_PENALTY,
+    OCCLUSION_FACTOR,
+    RESOLUTION_PENALTY,
+    SMALLEST_MARGIN,
+    SMALLEST_PENALTY,
+    VIEWS_PER_CORNER,
+)
+from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_loop
+from pipelines.lightfield.view_index import ViewIndex
+from pipelines.lightfield.views import ViewArrays
+
+# Points that are ranked together.
+POINTS = 16
+# Rows of the scratch: the point, the direction from the virtual centre to it, and one over its
+# distance from there; the smallest penalties so far, the last of which is only to compare with; the
+# penalty of the view at hand; its column and row there, and the point's inverse depth in it.
+PX, PY, PZ, VX, VY, VZ, NEARNESS = range(0, 7 * POINTS, POINTS)
+BEST, OWN, COLUMN, ROW, INVERSE = (POINTS * row for row in (7, 11, 12, 13, 14))
+RANKING_SCRATCH = 15 * POINTS
+RANKS = VIEWS_PER_CORNER + 1
+HALF, ONE, TWO, ZERO = np.float32(0.5), np.float32(1.0), np.float32(2.0), np.float32(0.0)
+NEVER = np.float32(np.inf)
+BORDER, MARGIN = np.float32(BORDER_PENALTY), np.float32(SMALLEST_MARGIN)
+RESOLUTION, SMALLEST = np.float32(RESOLUTION_PENALTY), np.float32(SMALLEST_PENALTY)
+HIDDEN = np.float32(OCCLUSION_FACTOR)
+# Bounds in single precision are smaller than they should be by less than this.
+ROUNDING = np.float32(1e-5)
+# Metres; what lies beyond is taken to be as far away as this. Single precision ends somewhere.
+FARTHEST = 1e7
+
+
+@compiled_leaf
+def is_occluded(
+    inverse_depth: Float32Array,
+    depth_start: IntArray,
+    depth_size: IntArray,
+    level_size: IntArray,
+    view: int,
+    u: float,
+    v: float,
+    own: float,
+) -> bool:
+    """Whether a view sees something nearer in the direction of a surface point.
+
+    Args:
+        inverse_depth: depth maps of all views; see ``ViewArrays``, as for the next three.
+        depth_start: where each begins.
+        depth_size: width and height of each.
+        level_size: of the photos.
+        view: which.
+        u: column of the point in the view's finest level, inside the image.
+        v: its row.
+        own: the point's inverse depth in the view.
+    """
+    width, height = depth_size[view, 0], depth_size[view, 1]
+    if width == 0:
+        return False
+    column = min(int((u + 0.5) * (width / level_size[view, 0, 0])), width - 1)
+    row = min(int((v + 0.5) * (height / level_size[view, 0, 1])), height - 1)
+    seen = np.float64(inverse_depth[depth_start[view] + row * width + column])
+    return bool(seen > OCCLUSION_FACTOR * own)
+
+
+@compiled_leaf
+def set_point(
+    pose: FloatArray,
+    rays: FloatArray,
+    x: int,
+    y: int,
+    inverse_depth: float,
+    origin: FloatArray,
+    scratch: Float32Array,
+    lane: int,
+) -> None:
+    """Writes a virtual pixel's surface point as one of those that are ranked.
+
+    Args:
+        pose: (4, 4) world_from_camera.
+        rays: (3, 3) virtual pixels to world directions.
+        x: column of the pixel.
+        y: its row.
+        inverse_depth: of the surface there; 0: none, and no view shows the point.
+        origin: (3,) see ``ViewIndex``.
+        scratch: (RANKING_SCRATCH,) changed.
+        lane: which of the points.
+    """
+    distance = 1.0 / max(inverse_depth, 1.0 / FARTHEST)
+    squared = 0.0
+    for i in range(3):
+        ray = rays[i, 0] * x + rays[i, 1] * y + rays[i, 2]
+        squared += ray * ray
+        place = pose[i, 3] + distance * ray - origin[i]
+        # A point that is nowhere is seen from nowhere: its depth in any view is not a number.
+        scratch[POINTS * i + lane] = place if inverse_depth > 0.0 else np.nan
+        scratch[POINTS * (3 + i) + lane] = ray
+    shrink = 1.0 / np.sqrt(squared)
+    for i in range(3):
+        scratch[POINTS * (3 + i) + lane] *= shrink
+    scratch[NEARNESS + lane] = shrink / distance
+
+
+@compiled_loop
+def _start(scratch: Float32Array, best: Int32Array) -> None:
+    """Forgets all views."""
+    for i in range(RANKS * POINTS):
+        scratch[BEST + i] = NEVER
+        best[i] = -1
+
+
+@compiled_loop
+def _count_open(scratch: Float32Array, spheres: Float32Array, group: int) -> np.float32:
+    """For how many points a group may hold a view that is better than the last of their best.
+
+    For vectors p, q: |p/|p| - q/|q|| <= 2 |p - q| / (|p| + |q|) (Dunkl and Williams 1964).
+    """
+    x, y, z, radius = spheres[group, 0], spheres[group, 1], spheres[group, 2], spheres[group, 3]
+    count = ZERO
+    for i in range(POINTS):
+        rx, ry, rz = scratch[PX + i] - x, scratch[PY + i] - y, scratch[PZ + i] - z
+        distance = np.sqrt(rx * rx + ry * ry + rz * rz)
+        shrink = ONE / distance
+        ex = rx * shrink - scratch[VX + i]
+        ey = ry * shrink - scratch[VY + i]
+        ez = rz * shrink - scratch[VZ + i]
+        chord = np.sqrt(ex * ex + ey * ey + ez * ez)
+        slack = TWO * radius / max(TWO * distance - radius, ROUNDING * radius)
+        bound = chord - slack - ROUNDING
+        count += ONE if bound < scratch[BEST + (RANKS - 1) * POINTS + i] else ZERO
+    return count
+
+
+@compiled_loop
+def _set_penalties(scratch: Float32Array, numbers: Float32Array, row: int) -> None:
+    """Writes a view's penalty at each point; infinite where it does not show the point.
+
+    The angle is the chord between unit vectors: no cosine near 1 whose digits would be lost.
+    """
+    a0, a1, a2, a3 = numbers[row, 0], numbers[row, 1], numbers[row, 2], numbers[row, 3]
+    b0, b1, b2, b3 = numbers[row, 4], numbers[row, 5], numbers[row, 6], numbers[row, 7]
+    c0, c1, c2, c3 = numbers[row, 8], numbers[row, 9], numbers[row, 10], numbers[row, 11]
+    cx, cy, cz = numbers[row, 12], numbers[row, 13], numbers[row, 14]
+    right, bottom, strip = numbers[row, 15] - HALF, numbers[row, 16] - HALF, numbers[row, 17]
+    for i in range(POINTS):
+        px, py, pz = scratch[PX + i], scratch[PY + i], scratch[PZ + i]
+        depth = c0 * px + c1 * py + c2 * pz + c3
+        reciprocal = ONE / depth
+        u = (a0 * px + a1 * py + a2 * pz + a3) * reciprocal
+        v = (b0 * px + b1 * py + b2 * pz + b3) * reciprocal
+        rx, ry, rz = px - cx, py - cy, pz - cz
+        recorded = np.sqrt(rx * rx + ry * ry + rz * rz)
+        shrink = ONE / recorded
+        ex = rx * shrink - scratch[VX + i]
+        ey = ry * shrink - scratch[VY + i]
+        ez = rz * shrink - scratch[VZ + i]
+        own = np.sqrt(ex * ex + ey * ey + ez * ez)
+        own += RESOLUTION * max(recorded * scratch[NEARNESS + i] - ONE, ZERO)
+        margin = min(u + HALF, right - u, v + HALF, bottom - v)
+        own += BORDER * max(strip / max(margin, MARGIN * strip) - ONE, ZERO)
+        scratch[OWN + i] = own if (depth > ZERO) & (margin >= ZERO) else NEVER
+        scratch[COLUMN + i] = u
+        scratch[ROW + i] = v
+        scratch[INVERSE + i] = reciprocal
+
+
+@compiled_leaf
+def _leave_out_hidden(
+    scratch: Float32Array,
+    view: int,
+    level_size: IntArray,
+    inverse_depth: Float32Array,
+    depth_start: IntArray,
+    depth_size: IntArray,
+) -> None:
+    """Makes the penalty infinite where the view sees something nearer than the point."""
+    width, height, start = depth_size[view, 0], depth_size[view, 1], depth_start[view]
+    if width == 0:
+        return
+    scale_x = np.float32(width / level_size[view, 0, 0])
+    scale_y = np.float32(height / level_size[view, 0, 1])
+    for i in range(POINTS):
+        # Only where it matters.
+        if (
+            scratch[OWN + i] <= scratch[BEST + (RANKS - 1) * POINTS + i]
+            and scratch[OWN + i] < NEVER
+        ):
+            column = min(int((scratch[COLUMN + i] + HALF) * scale_x), width - 1)
+            row = min(int((scratch[ROW + i] + HALF) * scale_y), height - 1)
+            seen = inverse_depth[start + row * width + column]
+            if seen > HIDDEN * scratch[INVERSE + i]:
+                scratch[OWN + i] = NEVER
+
+
+@compiled_loop
+def _insert(scratch: Float32Array, best: Int32Array, view: np.int32) -> None:
+    """Puts the view in its place among the best of each point; of equal ones the first stays."""
+    for i in range(POINTS):
+        own = scratch[OWN + i]
+        p0, p1 = scratch[BEST + i], scratch[BEST + POINTS + i]
+        p2, p3 = scratch[BEST + 2 * POINTS + i], scratch[BEST + 3 * POINTS + i]
+        v0, v1, v2, v3 = best[i], best[POINTS + i], best[2 * POINTS + i], best[3 * POINTS + i]
+        before0 = (own < p0) | ((own == p0) & (view < v0))
+        before1 = (own < p1) | ((own == p1) & (view < v1))
+        before2 = (own < p2) | ((own == p2) & (view < v2))
+        before3 = (own < p3) | ((own == p3) & (view < v3))
+        scratch[BEST + 3 * POINTS + i] = p2 if before2 else (own if before3 else p3)
+        best[3 * POINTS + i] = v2 if before2 else (view if before3 else v3)
+        scratch[BEST + 2 * POINTS + i] = p1 if before1 else (own if before2 else p2)
+        best[2 * POINTS + i] = v1 if before1 else (view if before2 else v2)
+        scratch[BEST + POINTS + i] = p0 if before0 else (own if before1 else p1)
+        best[POINTS + i] = v0 if before0 else (view if before1 else v1)
+        scratch[BEST + i] = own if before0 else p0
+        best[i] = view if before0 else v0
+
+
+@compiled
+def rank_views(
+    views: ViewArrays,
+    index: ViewIndex,
+    has_depth: bool,
+    scratch: Float32Array,
+    best: Int32Array,
+) -> None:
+    """Finds the views with the smallest penalties at ``POINTS`` surface points.
+
+    Args:
+        views: the light field.
+        index: of those that may take part.
+        has_depth: whether depth maps may hide the points.
+        scratch: (RANKING_SCRATCH,) with the points set; from ``BEST`` on it receives the penalties
+            of the best, rank by rank; infinite: no view.
+        best: (RANKS * POINTS,) int32 receives the views; -1: none.
+    """
+    _start(scratch, best)
+    groups = len(index.spheres)
+    first = _nearest_group(scratch, index.spheres)
+    for turn in range(groups):
+        # The most promising group goes first: what it holds spares a look at most others.
+        group = first if turn == 0 else (turn - 1 if turn <= first else turn)
+        if groups > 1 and _count_open(scratch, index.spheres, group) == ZERO:
+            continue
+        for row in range(index.starts[group], index.starts[group + 1]):
+            _set_penalties(scratch, index.numbers, row)
+            view = index.order[row]
+            if has_depth:
+                _leave_out_hidden(
+                    scratch,
+                    view,
+                    views.level_size,
+                    views.inverse_depth,
+                    views.depth_start,
+                    views.depth_size,
+                )
+            _insert(scratch, best, view)
+
+
+@compiled_leaf
+def _nearest_group(scratch: Float32Array, spheres: Float32Array) -> int:
+    """The group whose centre deviates least from the ray to a point in the middle of all."""
+    i = POINTS // 2
+    nearest, smallest = 0, np.inf
+    for group in range(len(spheres)):
+        rx = scratch[PX + i] - spheres[group, 0]
+        ry = scratch[PY + i] - spheres[group, 1]
+        rz = scratch[PZ + i] - spheres[group, 2]
+        along = rx * scratch[VX + i] + ry * scratch[VY + i] + rz * scratch[VZ + i]
+        squared = rx * rx + ry * ry + rz * rz
+        # One minus the cosine, of those in front; behind it is larger than 1.
+        deviation = 1.0 - along / np.sqrt(squared)
+        if deviation < smallest:
+            nearest, smallest = group, deviation
+    return nearest
+
+
+@compiled_loop
+def set_shares(
+    scratch: Float32Array, best: Int32Array, first: int, views: Int32Array, weights: Float32Array
+) -> None:
+    """Writes weights with sum 1 that fall to zero where the next view takes over.
+
+    Args:
+        scratch: as ``rank_views`` left it.
+        best: likewise.
+        first: where in the results the points' begin.
+        views: (VIEWS_PER_CORNER, C) int32 receives the views; -1: none.
+        weights: (VIEWS_PER_CORNER, C) receives their weights.
+    """
+    for i in range(POINTS):
+        p0, p1 = scratch[BEST + i], scratch[BEST + POINTS + i]
+        p2, p3 = scratch[BEST + 2 * POINTS + i], scratch[BEST + 3 * POINTS + i]
+        scale = ONE / max(p3, TWO * SMALLEST)
+        w0 = max(ONE - p0 * scale, ZERO) / max(p0, SMALLEST) if p0 < NEVER else ZERO
+        w1 = max(ONE - p1 * scale, ZERO) / max(p1, SMALLEST) if p1 < NEVER else ZERO
+        w2 = max(ONE - p2 * scale, ZERO) / max(p2, SMALLEST) if p2 < NEVER else ZERO
+        total = w0 + w1 + w2
+        found = ONE + (ONE if p1 < NEVER else ZERO) + (ONE if p2 < NEVER else ZERO)
+        factor = ONE / total if total > ZERO else ONE / found
+        # Where all are as good as the next one, they share alike.
+        w0, w1, w2 = (w0, w1, w2) if total > ZERO else (ONE, ONE, ONE)
+        weights[0, first + i], weights[1, first + i] = w0 * factor, w1 * factor
+        weights[2, first + i] = w2 * factor
+        views[0, first + i], views[1, first + i] = best[i], best[POINTS + i]
+        views[2, first + i] = best[2 * POINTS + i]

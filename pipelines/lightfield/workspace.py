@@ -1,0 +1,120 @@
+"""What the fast renderer reads and writes: the light field, and memory for the views it draws."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pipelines.artifacts.array_types import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    Int32Array,
+    IntArray,
+)
+from pipelines.lightfield.blending import VIEWS_PER_TILE
+from pipelines.lightfield.blending_kernels import order_by_tile, tile_count
+from pipelines.lightfield.compiled import compiled
+from pipelines.lightfield.sampling_kernels import CHUNK, COEFFICIENTS, SCRATCH_ROWS
+from pipelines.lightfield.view_index import ViewIndex
+from pipelines.lightfield.views import ViewArrays
+
+
+class LightField(NamedTuple):
+    """A light field and how it is rendered, in the form that compiled code takes.
+
+    Attributes:
+        views: the photos.
+        view_index: of those that may take part.
+        usable: ``(N,)`` which these are.
+        plane: ``(4,)`` unit normal and offset of the surface where there are no depth maps.
+        has_depth: whether the depth maps are the surface.
+        usual_inverse_depth: the median of all depth maps.
+        is_net: whether views are blended by the Delaunay net; else by the unstructured lumigraph.
+    """
+
+    views: ViewArrays
+    view_index: ViewIndex
+    usable: BoolArray
+    plane: FloatArray
+    has_depth: bool
+    usual_inverse_depth: float
+    is_net: bool
+
+
+class Workspace(NamedTuple):
+    """What rendering one view writes on its way; made once for many views of one size.
+
+    Attributes:
+        rays: ``(3, 3)`` virtual pixels to world directions.
+        maps: ``(N, 3, 3)`` and
+        shifts: ``(N, 3)``: virtual pixel p at inverse depth d is at map p + shift d of a view.
+        is_mapped: ``(N,)`` for which views these are there.
+        takes_part: ``(N,)`` views of the net.
+        cell_views: ``(c, VIEWS_PER_TILE)`` the views of each cell; -1 behind the last.
+        cell_weights: ``(c, VIEWS_PER_TILE, 4)`` coefficients of x, y, 1, x y, relative to
+        cell_origins: ``(c, 2)`` columns and rows.
+        slots: ``(2, N)`` the last cell that a view was in, and its slot there.
+        labels: ``(H, W)`` each pixel's cell of the net.
+        starts: ``(c + 1,)`` where cells begin in the order of the pixels.
+        columns: ``(H W,)`` places of the pixels in that order, and
+        rows: likewise.
+        pixels: ``(H W,)`` int32 their indices.
+        scratch: of a chunk, see ``sampling_kernels``.
+        offsets: ``(CHUNK,)`` int32.
+        places: ``(CHUNK,)`` int32.
+        coefficients: ``(COEFFICIENTS,)``.
+    """
+
+    rays: FloatArray
+    maps: FloatArray
+    shifts: FloatArray
+    is_mapped: BoolArray
+    takes_part: BoolArray
+    cell_views: IntArray
+    cell_weights: FloatArray
+    cell_origins: FloatArray
+    slots: IntArray
+    labels: IntArray
+    starts: IntArray
+    columns: Float32Array
+    rows: Float32Array
+    pixels: Int32Array
+    scratch: Float32Array
+    offsets: Int32Array
+    places: Int32Array
+    coefficients: Float32Array
+
+
+@compiled
+def workspace_for(field: LightField, width: int, height: int) -> Workspace:
+    """Memory for rendering views of one size; where cells do not change, they are set."""
+    count, pixels = len(field.views.centres), width * height
+    cells = 4 * count + 8 if field.is_net else tile_count(width) * tile_count(height)
+    labels = np.empty((height, width) if field.is_net else (1, 1), np.int64)
+    starts = np.zeros(cells + 1, np.int64)
+    columns, rows = np.empty(pixels, np.float32), np.empty(pixels, np.float32)
+    order = np.empty(pixels, np.int32)
+    if not field.is_net:
+        order_by_tile(width, height, columns, rows, starts)
+        for i in range(pixels):
+            order[i] = np.int32(rows[i]) * width + np.int32(columns[i])
+    return Workspace(
+        np.empty((3, 3)),
+        np.empty((count, 3, 3)),
+        np.empty((count, 3)),
+        np.zeros(count, np.bool_),
+        np.zeros(count, np.bool_),
+        np.empty((cells, VIEWS_PER_TILE), np.int64),
+        np.empty((cells, VIEWS_PER_TILE, 4)),
+        np.zeros((cells, 2)),
+        np.empty((2, count), np.int64),
+        labels,
+        starts,
+        columns,
+        rows,
+        order,
+        np.zeros(SCRATCH_ROWS * CHUNK, np.float32),
+        np.zeros(CHUNK, np.int32),
+        np.zeros(CHUNK, np.int32),
+        np.empty(COEFFICIENTS, np.float32),
+    )
