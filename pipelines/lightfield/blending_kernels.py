@@ -19,6 +19,7 @@ from pipelines.lightfield.ranking_kernels import (
     POINTS,
     RANKING_SCRATCH,
     RANKS,
+    order_of_groups,
     rank_views,
     set_point,
     set_shares,
@@ -108,13 +109,16 @@ def build_tiles(
     corner_weights = np.empty((VIEWS_PER_CORNER, padded), np.float32)
     scratch = np.empty(RANKING_SCRATCH, np.float32)
     best = np.empty(RANKS * POINTS, np.int32)
+    x, y = width // 2, len(surface) // width // 2
+    set_point(pose, rays, x, y, surface[y * width + x], index.origin, scratch, 0)
+    order = order_of_groups(index.spheres, scratch)
     for first in range(0, corners, POINTS):
         for lane in range(POINTS):
             # The last corner stands for those that are not there.
             corner = min(first + lane, corners - 1)
             x, y = columns[corner % across], rows[corner // across]
             set_point(pose, rays, x, y, surface[y * width + x], index.origin, scratch, lane)
-        rank_views(views, index, has_depth, scratch, best)
+        rank_views(views, index, order, has_depth, scratch, best)
         set_shares(scratch, best, first, corner_views, corner_weights)
     at_corner = np.empty((VIEWS_PER_TILE, 4))
     slots[0] = -1

@@ -3,16 +3,16 @@
 import numpy as np
 
 from pipelines.artifacts.array_types import Float32Array, FloatArray, IntArray
-from pipelines.lightfield.compiled import compiled, compiled_leaf
+from pipelines.lightfield.compiled import compiled
 from pipelines.lightfield.proxy import (
     EDGE_FACTOR,
     LARGEST_GAP_SHARE,
     PINHOLE_FACTOR,
     PINHOLE_NEIGHBOURS,
-    SAMPLES_PER_CELL,
     SOURCE_VIEWS,
     TURN_COST,
 )
+from pipelines.lightfield.splat_kernels import TOGETHER, splat
 from pipelines.lightfield.views import ViewArrays
 
 
@@ -76,57 +76,6 @@ def choose_sources(
 
 
 @compiled
-def splat(
-    views: ViewArrays,
-    view: int,
-    matrix: FloatArray,
-    focal: float,
-    spacing: float,
-    mesh: FloatArray,
-) -> None:
-    """Projects one depth map into the virtual image; of points in one cell the nearest stays.
-
-    Args:
-        views: the light field.
-        view: whose depth map.
-        matrix: (3, 4) world points to homogeneous virtual pixels.
-        focal: of the virtual camera, pixels.
-        spacing: of the mesh's corners, virtual pixels.
-        mesh: (h, w) inverse depths at the corners, changed.
-    """
-    width, height = views.depth_size[view, 0], views.depth_size[view, 1]
-    scale = width / views.level_size[view, 0, 0]
-    stride = max(1, int(spacing * views.focal[view] * scale / focal / SAMPLES_PER_CELL))
-    scale_x = views.level_size[view, 0, 0] / width
-    scale_y = views.level_size[view, 0, 1] / height
-    turn = np.zeros((3, 3))
-    shift = np.empty(3)
-    for i in range(3):
-        shift[i] = matrix[i, 3]
-        for k in range(3):
-            shift[i] += matrix[i, k] * views.centres[view, k]
-            for j in range(3):
-                turn[i, j] += matrix[i, k] * views.rays[view, k, j]
-    start = views.depth_start[view]
-    for row in range(0, height, stride):
-        y = (row + 0.5) * scale_y - 0.5
-        for column in range(0, width, stride):
-            value = np.float64(views.inverse_depth[start + row * width + column])
-            if value <= 0.0:
-                continue
-            x = (column + 0.5) * scale_x - 0.5
-            depth = turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] + value * shift[2]
-            if depth <= 1e-9:
-                continue
-            u = (turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] + value * shift[0]) / depth
-            v = (turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] + value * shift[1]) / depth
-            u, v = u / spacing + 0.5, v / spacing + 0.5
-            if 0.0 <= u < mesh.shape[1] and 0.0 <= v < mesh.shape[0]:
-                nearness = value / depth
-                mesh[int(v), int(u)] = max(mesh[int(v), int(u)], nearness)
-
-
-@compiled
 def depth_surface(
     views: ViewArrays,
     usual_inverse_depth: float,
@@ -146,9 +95,9 @@ def depth_surface(
         surface: (H, W) receives the result.
     """
     height, width = surface.shape
-    mesh = np.zeros(
-        (int(np.ceil((height - 1) / spacing)) + 1, int(np.ceil((width - 1) / spacing)) + 1)
-    )
+    rows = int(np.ceil((height - 1) / spacing)) + 1
+    # One column more for what lies outside.
+    mesh = np.zeros((rows, int(np.ceil((width - 1) / spacing)) + 2))
     matrix = np.empty((3, 4))
     for j in range(3):
         matrix[0, j] = intrinsics[0] * pose[j, 0] + intrinsics[2] * pose[j, 2]
@@ -161,12 +110,10 @@ def depth_surface(
     sources = np.empty(SOURCE_VIEWS, dtype=np.int64)
     count = choose_sources(views, usual_inverse_depth, pose, sources)
     focal = 0.5 * (intrinsics[0] + intrinsics[1])
+    scratch, cells = np.empty(TOGETHER), np.empty(TOGETHER, np.int32)
     for number in range(count):
-        splat(views, sources[number], matrix, focal, spacing, mesh)
-    mesh = _closed(_without_pinholes(mesh))
-    for y in range(height):
-        for x in range(width):
-            surface[y, x] = _interpolated(mesh, x / spacing, y / spacing)
+        splat(views, sources[number], matrix, focal, spacing, scratch, cells, mesh)
+    _interpolate(_closed(_without_pinholes(mesh[:, :-1].copy())), spacing, surface)
 
 
 @compiled
@@ -222,15 +169,33 @@ def _closed(mesh: FloatArray) -> FloatArray:
     return current
 
 
-@compiled_leaf
-def _interpolated(mesh: FloatArray, x: float, y: float) -> float:
+@compiled
+def _interpolate(mesh: FloatArray, spacing: float, surface: Float32Array) -> None:
     """Bilinear between corners of one surface; across an edge, or a gap, the nearest corner."""
-    left, top = min(int(x), mesh.shape[1] - 1), min(int(y), mesh.shape[0] - 1)
-    right, bottom = min(left + 1, mesh.shape[1] - 1), min(top + 1, mesh.shape[0] - 1)
-    fx, fy = x - left, y - top
-    a, b = mesh[top, left], mesh[top, right]
-    c, d = mesh[bottom, left], mesh[bottom, right]
-    lowest, highest = min(a, b, c, d), max(a, b, c, d)
-    if lowest > 0.0 and highest <= EDGE_FACTOR * lowest:
-        return float((a * (1 - fx) + b * fx) * (1 - fy) + (c * (1 - fx) + d * fx) * fy)
-    return float(mesh[top if fy < 0.5 else bottom, left if fx < 0.5 else right])
+    a, b, c, d = 0.0, 0.0, 0.0, 0.0
+    is_smooth = False
+    for row in range(surface.shape[0]):
+        y = row / spacing
+        top = min(int(y), mesh.shape[0] - 1)
+        bottom = min(top + 1, mesh.shape[0] - 1)
+        fy = y - top
+        cell = -1
+        for column in range(surface.shape[1]):
+            x = column / spacing
+            left = min(int(x), mesh.shape[1] - 1)
+            if left != cell:
+                cell = left
+                right = min(left + 1, mesh.shape[1] - 1)
+                a, b = mesh[top, left], mesh[top, right]
+                c, d = mesh[bottom, left], mesh[bottom, right]
+                lowest = min(a, b, c, d)
+                is_smooth = lowest > 0.0 and max(a, b, c, d) <= EDGE_FACTOR * lowest
+            fx = x - left
+            if is_smooth:
+                surface[row, column] = (a * (1 - fx) + b * fx) * (1 - fy) + (
+                    c * (1 - fx) + d * fx
+                ) * fy
+            elif fy < 0.5:
+                surface[row, column] = a if fx < 0.5 else b
+            else:
+                surface[row, column] = c if fx < 0.5 else d

@@ -143,6 +143,22 @@ def _count_open(scratch: Float32Array, spheres: Float32Array, group: int) -> np.
 
 
 @compiled_loop
+def _count_nearer(scratch: Float32Array, numbers: Float32Array, row: int) -> np.float32:
+    """At how many points the angle alone does not rule out that the view is among the best."""
+    cx, cy, cz = numbers[row, 12], numbers[row, 13], numbers[row, 14]
+    count = ZERO
+    for i in range(POINTS):
+        rx, ry, rz = scratch[PX + i] - cx, scratch[PY + i] - cy, scratch[PZ + i] - cz
+        shrink = ONE / np.sqrt(rx * rx + ry * ry + rz * rz)
+        ex = rx * shrink - scratch[VX + i]
+        ey = ry * shrink - scratch[VY + i]
+        ez = rz * shrink - scratch[VZ + i]
+        worst = scratch[BEST + (RANKS - 1) * POINTS + i] + ROUNDING
+        count += ONE if ex * ex + ey * ey + ez * ez <= worst * worst else ZERO
+    return count
+
+
+@compiled_loop
 def _set_penalties(scratch: Float32Array, numbers: Float32Array, row: int) -> None:
     """Writes a view's penalty at each point; infinite where it does not show the point.
 
@@ -229,6 +245,7 @@ def _insert(scratch: Float32Array, best: Int32Array, view: np.int32) -> None:
 def rank_views(
     views: ViewArrays,
     index: ViewIndex,
+    order: IntArray,
     has_depth: bool,
     scratch: Float32Array,
     best: Int32Array,
@@ -238,20 +255,20 @@ def rank_views(
     Args:
         views: the light field.
         index: of those that may take part.
+        order: (G,) in which groups of them are looked at; the most promising first spare a look at
+            most others.
         has_depth: whether depth maps may hide the points.
         scratch: (RANKING_SCRATCH,) with the points set; from ``BEST`` on it receives the penalties
             of the best, rank by rank; infinite: no view.
         best: (RANKS * POINTS,) int32 receives the views; -1: none.
     """
     _start(scratch, best)
-    groups = len(index.spheres)
-    first = _nearest_group(scratch, index.spheres)
-    for turn in range(groups):
-        # The most promising group goes first: what it holds spares a look at most others.
-        group = first if turn == 0 else (turn - 1 if turn <= first else turn)
-        if groups > 1 and _count_open(scratch, index.spheres, group) == ZERO:
+    for group in order:
+        if len(order) > 1 and _count_open(scratch, index.spheres, group) == ZERO:
             continue
         for row in range(index.starts[group], index.starts[group + 1]):
+            if _count_nearer(scratch, index.numbers, row) == ZERO:
+                continue
             _set_penalties(scratch, index.numbers, row)
             view = index.order[row]
             if has_depth:
@@ -266,22 +283,18 @@ def rank_views(
             _insert(scratch, best, view)
 
 
-@compiled_leaf
-def _nearest_group(scratch: Float32Array, spheres: Float32Array) -> int:
-    """The group whose centre deviates least from the ray to a point in the middle of all."""
-    i = POINTS // 2
-    nearest, smallest = 0, np.inf
+@compiled
+def order_of_groups(spheres: Float32Array, scratch: Float32Array) -> IntArray:
+    """Groups (G,) in the order in which their centres deviate from the ray to the first point."""
+    deviation = np.empty(len(spheres))
     for group in range(len(spheres)):
-        rx = scratch[PX + i] - spheres[group, 0]
-        ry = scratch[PY + i] - spheres[group, 1]
-        rz = scratch[PZ + i] - spheres[group, 2]
-        along = rx * scratch[VX + i] + ry * scratch[VY + i] + rz * scratch[VZ + i]
-        squared = rx * rx + ry * ry + rz * rz
-        # One minus the cosine, of those in front; behind it is larger than 1.
-        deviation = 1.0 - along / np.sqrt(squared)
-        if deviation < smallest:
-            nearest, smallest = group, deviation
-    return nearest
+        rx = scratch[PX] - spheres[group, 0]
+        ry = scratch[PY] - spheres[group, 1]
+        rz = scratch[PZ] - spheres[group, 2]
+        along = rx * scratch[VX] + ry * scratch[VY] + rz * scratch[VZ]
+        # Minus the cosine.
+        deviation[group] = -along / np.sqrt(rx * rx + ry * ry + rz * rz)
+    return np.argsort(deviation, kind="mergesort")
 
 
 @compiled_loop

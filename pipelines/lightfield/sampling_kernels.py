@@ -22,9 +22,9 @@ CHUNK = 128
 # Chunks are filled up to a multiple of this, what a processor works on at once.
 LANES = 16
 # Rows of a chunk's scratch: x, y, inverse depth; what comes out: fraction, upper and lower weight;
-# and the place in the view's finest level and the point's inverse depth there.
-X, Y, SURFACE, FRACTION, UPPER, LOWER, COLUMN, ROW, NEARNESS = range(9)
-SCRATCH_ROWS = 9
+# and the place in the view's finest level, the point's inverse depth there, and what is seen there.
+X, Y, SURFACE, FRACTION, UPPER, LOWER, COLUMN, ROW, NEARNESS, SEEN = range(10)
+SCRATCH_ROWS = 10
 # Numbers that take a chunk's pixels into a view: map (9), shift (3), weight (4).
 COEFFICIENTS = 16
 ZERO, HALF, ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
@@ -206,6 +206,16 @@ def _depth_places(
         places[i] = min(row, last_y) * width + min(column, last_x)
 
 
+@compiled_loop
+def _take_weights(scratch: Float32Array, count: int) -> None:
+    """Sets the weights to 0 where the view sees something nearer than the point."""
+    for i in range(count):
+        is_hidden = scratch[SEEN * CHUNK + i] > HIDDEN * scratch[NEARNESS * CHUNK + i]
+        upper, lower = scratch[UPPER * CHUNK + i], scratch[LOWER * CHUNK + i]
+        scratch[UPPER * CHUNK + i] = ZERO if is_hidden else upper
+        scratch[LOWER * CHUNK + i] = ZERO if is_hidden else lower
+
+
 @compiled_leaf
 def leave_out_hidden(
     scratch: Float32Array,
@@ -236,9 +246,8 @@ def leave_out_hidden(
     scale_x, scale_y = np.float32(width / full_width), np.float32(height / full_height)
     _depth_places(scratch, places, count, scale_x, scale_y, np.int32(width), np.int32(height))
     for i in range(count):
-        if inverse_depth[start + places[i]] > HIDDEN * scratch[NEARNESS * CHUNK + i]:
-            scratch[UPPER * CHUNK + i] = ZERO
-            scratch[LOWER * CHUNK + i] = ZERO
+        scratch[SEEN * CHUNK + i] = inverse_depth[start + places[i]]
+    _take_weights(scratch, count)
 
 
 @compiled_leaf

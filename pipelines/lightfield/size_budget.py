@@ -8,7 +8,7 @@ from typing import Any
 from pipelines.artifacts.errors import InputError
 from pipelines.artifacts.safe_hdf5 import open_hdf5
 from pipelines.lightfield.scene import Scene
-from pipelines.lightfield.views import SMALLEST_LEVEL_SIDE
+from pipelines.lightfield.views import SMALLEST_LEVEL_SIDE, texels_beyond
 
 PARTS = ("photos", "depth_maps", "rest")
 # The longer side of views to which ``lfnav localize`` shrinks the photos by default.
@@ -100,11 +100,13 @@ def _on_disk(path: Path, scene: Scene) -> dict[str, int]:
 
 def _memory(scene: Scene, largest_side: int | None) -> dict[str, int]:
     """Bytes of the scene and of ``views_of_scene`` at this resolution."""
-    photos, depth = sum(map(len, scene.encoded_images)), 0
+    photos, depth, widest = sum(map(len, scene.encoded_images)), 0, 0
     for index in range(len(scene)):
         camera = scene.camera_of(index)
         size = _shrunk_size(camera.width, camera.height, largest_side)
         photos += TEXEL_BYTES * _pyramid_texels(*size)
+        widest = max(widest, size[0])
+    photos += TEXEL_BYTES * texels_beyond(widest)
     for of_view in scene.depth:
         depth += of_view.inverse_depth.nbytes + of_view.confident.nbytes
         height, width = of_view.inverse_depth.shape

@@ -133,10 +133,9 @@ def _packed_pyramids(images: Sequence[ImageArray]) -> tuple[ImageArray, IntArray
     level_count = max(len(pyramid) for pyramid in pyramids)
     level_start = np.zeros((len(pyramids), level_count), dtype=np.int64)
     level_size = np.zeros((len(pyramids), level_count, 2), dtype=np.int64)
-    # Readers may look one texel to the right and one row down, beyond the last image too.
-    beyond = max(image.shape[1] for image in images) + 2
     count = sum(p.shape[0] * p.shape[1] for q in pyramids for p in q)
-    texels = np.full((count + beyond, 4), 255, dtype=np.uint8)
+    count += texels_beyond(max(image.shape[1] for image in images))
+    texels = np.full((count, 4), 255, dtype=np.uint8)
     position = 0
     for view, pyramid in enumerate(pyramids):
         for level, image in enumerate(pyramid):
@@ -146,6 +145,11 @@ def _packed_pyramids(images: Sequence[ImageArray]) -> tuple[ImageArray, IntArray
             texels[position : position + width * height, :3] = image.reshape(-1, 3)
             position += width * height
     return texels, level_start, level_size
+
+
+def texels_beyond(widest: int) -> int:
+    """Texels behind those of the last image: readers look one to the right and one row down."""
+    return widest + 2
 
 
 def _packed_depths(
