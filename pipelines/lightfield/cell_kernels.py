@@ -21,11 +21,12 @@ from pipelines.lightfield.reference import FRUSTUM_SAMPLES
 from pipelines.lightfield.sampling_kernels import (
     CHUNK,
     LANES,
-    SURFACE,
     add_samples,
     chunk_coefficients,
+    end_weights,
     leave_out_hidden,
     load_chunk,
+    load_weights,
     place_samples,
 )
 from pipelines.lightfield.workspace import LightField, Workspace
@@ -33,6 +34,10 @@ from pipelines.lightfield.workspace import LightField, Workspace
 # On a pyramid level a pixel spans about one: levels change where it spans sqrt(2) 2^k of the finest
 # one's, at these depths times the ratio of focal lengths.
 LEVEL_BORDERS = np.sqrt(2.0) / 2.0 ** np.arange(32)
+# Cells that are worked on together, at most.
+MOST_MEMBERS = 16
+# In the list of a cell's views: the end, and a view that was shown with an earlier cell.
+NO_VIEW, DONE = -1, -2
 
 
 @compiled
@@ -106,7 +111,6 @@ def blend_cells(
     has_depth: bool,
     pose: FloatArray,
     focal: float,
-    surface: Float32Array,
     cells: int,
     cell_views: IntArray,
     cell_weights: FloatArray,
@@ -114,61 +118,141 @@ def blend_cells(
     starts: IntArray,
     columns: Float32Array,
     rows: Float32Array,
+    surface: Float32Array,
     pixels: Int32Array,
     space: Workspace,
     image: Float32Array,
 ) -> None:
-    """Adds to each pixel what the views of its cell show, times their weights."""
+    """Adds to each pixel what the views of its cell show, times their weights.
+
+    Cells that follow each other and show the same view are worked on together.
+
+    Args:
+        field: the light field.
+        has_depth: whether depth maps may hide the surface.
+        pose: (4, 4) world_from_camera.
+        focal: of the virtual camera, pixels.
+        cells: their number.
+        cell_views: (c, k) views of each cell, -1 behind the last; changed.
+        cell_weights: (c, k, 4) coefficients of x, y, 1, x y, relative to
+        cell_origins: (c, 2) columns and rows.
+        starts: (c + 1,) where cells begin in the order of the pixels.
+        columns: (P + LANES,) places of the pixels in that order, and
+        rows: likewise, and
+        surface: their inverse depths, and
+        pixels: their indices.
+        space: maps, shifts and scratch are changed.
+        image: (H W, 4) sums of weighted colours and of 255 times the weights, changed.
+    """
+    members = np.empty((MOST_MEMBERS, 2), np.int64)
     for cell in range(cells):
-        for first in range(starts[cell], starts[cell + 1], CHUNK):
-            _blend_chunk(
-                cell,
-                first,
-                min(CHUNK, starts[cell + 1] - first),
-                has_depth,
-                pose,
-                focal,
-                surface,
-                cell_views,
-                cell_weights,
-                cell_origins,
-                columns,
-                rows,
-                pixels,
-                field.views.projection,
-                field.views.focal,
-                field.views.texels,
-                field.views.level_start,
-                field.views.level_size,
-                field.views.inverse_depth,
-                field.views.depth_start,
-                field.views.depth_size,
-                space.rays,
-                space.maps,
-                space.shifts,
-                space.is_mapped,
-                space.scratch,
-                space.offsets,
-                space.places,
-                space.coefficients,
-                image,
-            )
+        first = starts[cell]
+        for slot in range(cell_views.shape[1]):
+            view = cell_views[cell, slot]
+            if view == NO_VIEW:
+                break
+            if view == DONE:
+                continue
+            count = _gather_members(cell, slot, cells, cell_views, starts, members)
+            last = starts[cell + count]
+            for begin in range(first, last, CHUNK):
+                _blend_chunk(
+                    view,
+                    begin,
+                    min(CHUNK, last - begin),
+                    members,
+                    count,
+                    has_depth,
+                    pose,
+                    focal,
+                    cell_weights,
+                    cell_origins,
+                    starts,
+                    columns,
+                    rows,
+                    surface,
+                    pixels,
+                    field.views.projection,
+                    field.views.focal,
+                    field.views.texels,
+                    field.views.level_start,
+                    field.views.level_size,
+                    field.views.inverse_depth,
+                    field.views.depth_start,
+                    field.views.depth_size,
+                    space.rays,
+                    space.maps,
+                    space.shifts,
+                    space.is_mapped,
+                    space.scratch,
+                    space.offsets,
+                    space.places,
+                    space.coefficients,
+                    image,
+                )
+
+
+@compiled_leaf
+def _gather_members(
+    cell: int,
+    slot: int,
+    cells: int,
+    cell_views: IntArray,
+    starts: IntArray,
+    members: IntArray,
+) -> int:
+    """Finds the cells from one on that show the same view and fit into a chunk together.
+
+    Args:
+        cell: the first.
+        slot: of the view in it.
+        cells: their number.
+        cell_views: (c, k); the view is marked as done in the others.
+        starts: (c + 1,) where they begin.
+        members: (MOST_MEMBERS, 2) receives each cell and the view's slot in it.
+
+    Returns:
+        Their number.
+    """
+    view = cell_views[cell, slot]
+    members[0, 0], members[0, 1] = cell, slot
+    count = 1
+    while (
+        count < MOST_MEMBERS
+        and cell + count < cells
+        and starts[cell + count + 1] - starts[cell] <= CHUNK
+    ):
+        found = -1
+        for other in range(cell_views.shape[1]):
+            own = cell_views[cell + count, other]
+            if own == view:
+                found = other
+            if own in (view, NO_VIEW):
+                break
+        if found < 0:
+            break
+        cell_views[cell + count, found] = DONE
+        members[count, 0], members[count, 1] = cell + count, found
+        count += 1
+    return count
 
 
 @compiled_leaf
 def _blend_chunk(
-    cell: int,
+    view: int,
     first: int,
     count: int,
+    members: IntArray,
+    member_count: int,
     has_depth: bool,
     pose: FloatArray,
     focal: float,
-    surface: Float32Array,
-    cell_views: IntArray,
     cell_weights: FloatArray,
     cell_origins: FloatArray,
+    starts: IntArray,
     columns: Float32Array,
     rows: Float32Array,
+    surface: Float32Array,
     pixels: Int32Array,
     projection: FloatArray,
     focals: FloatArray,
@@ -188,67 +272,60 @@ def _blend_chunk(
     coefficients: Float32Array,
     image: Float32Array,
 ) -> None:
-    """``_blend_cells`` for up to ``CHUNK`` pixels of one cell, from ``first`` on in their order."""
+    """``blend_cells`` for one view and up to ``CHUNK`` pixels, from ``first`` on in their order."""
     x0, y0 = columns[first], rows[first]
     filled = (count + LANES - 1) // LANES * LANES
-    load_chunk(columns, rows, surface, pixels, np.uintp(first), np.uintp(count), scratch)
-    levels = level_size.shape[1]
-    for slot in range(cell_views.shape[1]):
-        view = cell_views[cell, slot]
-        if view < 0:
-            break
-        if not is_mapped[view]:
-            view_mapping(projection, view, pose, rays, maps, shifts)
-            is_mapped[view] = True
-        chunk_coefficients(
-            maps, shifts, view, cell_weights, cell_origins, cell, slot, x0, y0, coefficients
+    load_chunk(columns, rows, surface, np.uintp(first), np.uintp(filled), scratch)
+    for number in range(member_count):
+        cell = members[number, 0]
+        begin, end = max(starts[cell] - first, 0), min(starts[cell + 1] - first, count)
+        load_weights(
+            cell_weights, cell_origins, cell, members[number, 1], x0, y0, begin, end, scratch
         )
-        ratio = focals[view] / focal
-        full_width, full_height = level_size[view, 0, 0], level_size[view, 0, 1]
-        # Most chunks need one level, that of their first pixel; others are gone through.
-        middle = coefficients[8] + coefficients[11] * scratch[SURFACE * CHUNK]
-        guess = 0
-        while guess + 1 < levels and middle <= ratio * LEVEL_BORDERS[guess + 1]:
-            guess += 1
-        for turn in range(levels):
-            level = guess if turn == 0 else (turn - 1 if turn <= guess else turn)
-            nearest = ratio * LEVEL_BORDERS[level + 1] if level + 1 < levels else 0.0
-            farthest = ratio * LEVEL_BORDERS[level] if level > 0 else np.inf
-            here, elsewhere = place_samples(
-                scratch,
-                offsets,
-                filled,
-                coefficients,
-                np.float32(nearest),
-                np.float32(farthest),
-                np.int32(level_start[view, level]),
-                np.int32(level_size[view, level, 0]),
-                np.int32(level_size[view, level, 1]),
-                np.float32(full_width),
-                np.float32(full_height),
-            )
-            if here > 0:
-                if has_depth:
-                    leave_out_hidden(
-                        scratch,
-                        places,
-                        filled,
-                        inverse_depth,
-                        depth_start[view],
-                        depth_size[view, 0],
-                        depth_size[view, 1],
-                        full_width,
-                        full_height,
-                    )
-                add_samples(
+    end_weights(scratch, np.uintp(count))
+    if not is_mapped[view]:
+        view_mapping(projection, view, pose, rays, maps, shifts)
+        is_mapped[view] = True
+    chunk_coefficients(maps, shifts, view, x0, y0, coefficients)
+    levels = level_size.shape[1]
+    ratio = focals[view] / focal
+    full_width, full_height = level_size[view, 0, 0], level_size[view, 0, 1]
+    # Most chunks need one level, that of their first pixel; others are gone through.
+    middle = coefficients[8] + coefficients[11] * surface[first]
+    guess = 0
+    while guess + 1 < levels and middle <= ratio * LEVEL_BORDERS[guess + 1]:
+        guess += 1
+    for turn in range(levels):
+        level = guess if turn == 0 else (turn - 1 if turn <= guess else turn)
+        nearest = ratio * LEVEL_BORDERS[level + 1] if level + 1 < levels else 0.0
+        farthest = ratio * LEVEL_BORDERS[level] if level > 0 else np.inf
+        here, elsewhere = place_samples(
+            scratch,
+            offsets,
+            filled,
+            coefficients,
+            np.float32(nearest),
+            np.float32(farthest),
+            np.int32(level_start[view, level]),
+            np.int32(level_size[view, level, 0]),
+            np.int32(level_size[view, level, 1]),
+            np.float32(full_width),
+            np.float32(full_height),
+        )
+        if here > 0:
+            if has_depth:
+                leave_out_hidden(
                     scratch,
-                    offsets,
-                    pixels,
-                    first,
-                    count,
-                    texels,
-                    np.int32(level_size[view, level, 0]),
-                    image,
+                    places,
+                    filled,
+                    inverse_depth,
+                    depth_start[view],
+                    depth_size[view, 0],
+                    depth_size[view, 1],
+                    full_width,
+                    full_height,
                 )
-            if elsewhere == 0:
-                break
+            width = np.int32(level_size[view, level, 0])
+            add_samples(scratch, offsets, pixels, first, count, texels, width, image)
+        if elsewhere == 0:
+            break

@@ -17,6 +17,7 @@ from pipelines.lightfield.net_kernels import project_centre
 from pipelines.lightfield.proxy_kernels import depth_surface, plane_surface
 from pipelines.lightfield.ranking_kernels import is_occluded
 from pipelines.lightfield.reference import SMALLEST_WEIGHT
+from pipelines.lightfield.sampling_kernels import LANES
 from pipelines.lightfield.workspace import LightField, Workspace, workspace_for
 
 OPAQUE = np.float32(255.0)
@@ -107,8 +108,9 @@ def _fill(
     image: Float32Array,
 ) -> None:
     """Shows the pixels that none of their cell's views show by any other view that does."""
-    columns, rows = np.empty(empty, np.float32), np.empty(empty, np.float32)
-    pixels, chosen = np.empty(empty, np.int32), np.empty((empty, 1), np.int64)
+    columns, rows = np.zeros(empty + LANES, np.float32), np.zeros(empty + LANES, np.float32)
+    depths, pixels = np.zeros(empty + LANES, np.float32), np.empty(empty, np.int32)
+    chosen = np.empty((empty, 1), np.int64)
     starts = np.arange(empty + 1)
     found = 0
     for pixel in range(len(surface)):
@@ -118,7 +120,7 @@ def _fill(
         view = _substitute(x, y, surface[pixel], pose, intrinsics, field, space)
         if view >= 0:
             columns[found], rows[found] = x, y
-            pixels[found], chosen[found, 0] = pixel, view
+            depths[found], pixels[found], chosen[found, 0] = surface[pixel], pixel, view
             found += 1
     weights = np.zeros((found, 1, 4))
     weights[:, :, 2] = 1.0
@@ -127,7 +129,6 @@ def _fill(
         False,
         pose,
         focal,
-        surface,
         found,
         chosen,
         weights,
@@ -135,6 +136,7 @@ def _fill(
         starts,
         columns,
         rows,
+        depths,
         pixels,
         space,
         image,
@@ -189,13 +191,14 @@ def _draw(
             space.cell_weights,
             space.cell_origins,
         )
+    for i in range(len(surface)):
+        space.surface[i] = surface[space.pixels[i]]
     focal = 0.5 * (intrinsics[0] + intrinsics[1])
     blend_cells(
         field,
         field.has_depth,
         pose,
         focal,
-        surface,
         cells,
         space.cell_views,
         space.cell_weights,
@@ -203,6 +206,7 @@ def _draw(
         space.starts,
         space.columns,
         space.rows,
+        space.surface,
         space.pixels,
         space,
         image,

@@ -21,14 +21,18 @@ from pipelines.lightfield.texel_intrinsic import add_texels
 CHUNK = 128
 # Chunks are filled up to a multiple of this, what a processor works on at once.
 LANES = 16
-# Rows of a chunk's scratch: x, y, inverse depth; what comes out: fraction, upper and lower weight;
-# and the place in the view's finest level, the point's inverse depth there, and what is seen there.
-X, Y, SURFACE, FRACTION, UPPER, LOWER, COLUMN, ROW, NEARNESS, SEEN = range(10)
-SCRATCH_ROWS = 10
-# Numbers that take a chunk's pixels into a view: map (9), shift (3), weight (4).
-COEFFICIENTS = 16
+# Where the rows of a chunk's scratch begin: x, y, inverse depth and the view's weight; what comes
+# out: fraction, upper and lower weight; and the place in the view's finest level, the point's
+# inverse depth there, and what is seen there. Unsigned: for signed indices the compiler would have
+# to count from the end, too, and could not see that they follow each other.
+ROW_LENGTH = CHUNK + LANES
+X, Y, SURFACE, WEIGHT, FRACTION, UPPER, LOWER, COLUMN, ROW, NEARNESS, SEEN = (
+    np.uintp(row * ROW_LENGTH) for row in range(11)
+)
+SCRATCH_SIZE = 11 * ROW_LENGTH
+# Numbers that take a chunk's pixels into a view: map (9), shift (3).
+COEFFICIENTS = 12
 ZERO, HALF, ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
-FIRST_Y, FIRST_SURFACE = np.uintp(CHUNK * Y), np.uintp(CHUNK * SURFACE)
 HIDDEN = np.float32(OCCLUSION_FACTOR)
 
 
@@ -37,34 +41,87 @@ def load_chunk(
     columns: Float32Array,
     rows: Float32Array,
     surface: Float32Array,
-    pixels: Int32Array,
     first: np.uintp,
     count: np.uintp,
     scratch: Float32Array,
 ) -> None:
     """Writes places, relative to the first, and inverse depths of a chunk's pixels.
 
-    Indices are unsigned: for signed ones the compiler would have to count from the end, too, and
-    could not see that they follow each other.
-
     Args:
-        columns: (P,) places of the pixels in the order of their cells, and
-        rows: likewise.
-        surface: (P,) inverse depth of the pixels in their own order.
-        pixels: (P,) int32 the pixels in the order of their cells.
+        columns: (P + LANES,) places of the pixels in the order of their cells, and
+        rows: likewise, and
+        surface: their inverse depths.
         first: the chunk's first in that order.
-        count: pixels of the chunk.
-        scratch: receives the first three rows; from ``count`` on there is no surface.
+        count: pixels of the chunk, a multiple of ``LANES``.
+        scratch: receives the first three rows.
     """
     x0, y0 = columns[first], rows[first]
     for i in range(count):
-        scratch[i] = columns[first + i] - x0
-    for i in range(count):
-        scratch[i + FIRST_Y] = rows[first + i] - y0
-    for i in range(FIRST_Y):
-        scratch[i + FIRST_SURFACE] = ZERO
-    for i in range(count):
-        scratch[i + FIRST_SURFACE] = surface[pixels[first + i]]
+        scratch[i + X] = columns[first + i] - x0
+        scratch[i + Y] = rows[first + i] - y0
+        scratch[i + SURFACE] = surface[first + i]
+
+
+@compiled_loop
+def _fill_weights(
+    scratch: Float32Array,
+    first: np.uintp,
+    count: np.uintp,
+    a: np.float32,
+    b: np.float32,
+    c: np.float32,
+    d: np.float32,
+) -> None:
+    """Writes the weights a x + b y + c + d x y of some of a chunk's pixels, and some behind."""
+    for i in range((count + np.uintp(LANES - 1)) & ~np.uintp(LANES - 1)):
+        x, y = scratch[first + i + X], scratch[first + i + Y]
+        scratch[first + i + WEIGHT] = a * x + b * y + c + d * x * y
+
+
+@compiled_leaf
+def load_weights(
+    weights: FloatArray,
+    origins: FloatArray,
+    cell: int,
+    slot: int,
+    x: float,
+    y: float,
+    first: int,
+    last: int,
+    scratch: Float32Array,
+) -> None:
+    """Writes a view's weights at those of a chunk's pixels that lie in one cell.
+
+    Args:
+        weights: (c, k, 4) coefficients of x, y, 1, x y, relative to
+        origins: (c, 2) columns and rows.
+        cell: of the pixels, and
+        slot: of the view in it.
+        x: column of the chunk's first pixel, and
+        y: its row.
+        first: of the pixels in the chunk, and
+        last: the one behind them.
+        scratch: of the chunk, changed.
+    """
+    a, b = weights[cell, slot, 0], weights[cell, slot, 1]
+    c, d = weights[cell, slot, 2], weights[cell, slot, 3]
+    across, down = x - origins[cell, 0], y - origins[cell, 1]
+    _fill_weights(
+        scratch,
+        np.uintp(first),
+        np.uintp(last - first),
+        np.float32(a + d * down),
+        np.float32(b + d * across),
+        np.float32(a * across + b * down + c + d * across * down),
+        np.float32(d),
+    )
+
+
+@compiled_loop
+def end_weights(scratch: Float32Array, count: np.uintp) -> None:
+    """Takes the weights of what stands behind a chunk's ``count`` pixels."""
+    for i in range(np.uintp(LANES)):
+        scratch[count + i + WEIGHT] = ZERO
 
 
 @compiled_leaf
@@ -72,10 +129,6 @@ def chunk_coefficients(
     maps: FloatArray,
     shifts: FloatArray,
     view: int,
-    weights: FloatArray,
-    origins: FloatArray,
-    cell: int,
-    slot: int,
     x: float,
     y: float,
     coefficients: Float32Array,
@@ -88,26 +141,15 @@ def chunk_coefficients(
         maps: (N, 3, 3) and
         shifts: (N, 3), see ``view_mapping``.
         view: which.
-        weights: (c, k, 4) coefficients of x, y, 1, x y, relative to
-        origins: (c, 2) columns and rows.
-        cell: of the pixels, and
-        slot: of the view in it.
         x: column of the first pixel, and
         y: its row.
-        coefficients: (COEFFICIENTS,) receives map, shift and weight.
+        coefficients: (COEFFICIENTS,) receives map and shift.
     """
     for i in range(3):
         coefficients[3 * i] = maps[view, i, 0]
         coefficients[3 * i + 1] = maps[view, i, 1]
         coefficients[3 * i + 2] = maps[view, i, 0] * x + maps[view, i, 1] * y + maps[view, i, 2]
         coefficients[9 + i] = shifts[view, i]
-    a, b = weights[cell, slot, 0], weights[cell, slot, 1]
-    c, d = weights[cell, slot, 2], weights[cell, slot, 3]
-    across, down = x - origins[cell, 0], y - origins[cell, 1]
-    coefficients[12] = a + d * down
-    coefficients[13] = b + d * across
-    coefficients[14] = a * across + b * down + c + d * across * down
-    coefficients[15] = d
 
 
 @compiled_loop
@@ -127,7 +169,7 @@ def place_samples(
     """Where in a pyramid level of a view a chunk's surface points lie, and with which weight.
 
     Args:
-        scratch: (SCRATCH_ROWS * CHUNK,); the first three rows are read, the others written.
+        scratch: (SCRATCH_SIZE,); the first four rows are read, the others written.
         offsets: (CHUNK,) int32 receives the index of each point's upper left texel.
         count: pixels of the chunk, a multiple of ``LANES``.
         coefficients: see ``chunk_coefficients``.
@@ -152,20 +194,18 @@ def place_samples(
     )
     m5, m6, m7, m8 = coefficients[5], coefficients[6], coefficients[7], coefficients[8]
     s0, s1, s2 = coefficients[9], coefficients[10], coefficients[11]
-    w0, w1, w2, w3 = coefficients[12], coefficients[13], coefficients[14], coefficients[15]
     right, bottom = full_width - HALF, full_height - HALF
     scale_x, scale_y = np.float32(width) / full_width, np.float32(height) / full_height
     last_x, last_y = np.float32(width - 1), np.float32(height - 1)
     # The texel on the right and the row below are there; at the border they get all the weight.
     last_left, last_top = max(last_x - ONE, ZERO), max(last_y - ONE, ZERO)
     here, elsewhere = ZERO, ZERO
-    for i in range(count):
-        x, y, d = scratch[i], scratch[CHUNK + i], scratch[SURFACE * CHUNK + i]
+    for i in range(np.uintp(count)):
+        x, y, d, weight = scratch[i + X], scratch[i + Y], scratch[i + SURFACE], scratch[i + WEIGHT]
         depth = m6 * x + m7 * y + m8 + s2 * d
         reciprocal = ONE / depth
         u = (m0 * x + m1 * y + m2 + s0 * d) * reciprocal
         v = (m3 * x + m4 * y + m5 + s1 * d) * reciprocal
-        weight = w0 * x + w1 * y + w2 + w3 * x * y
         is_shown = (depth > ZERO) & (d > ZERO) & (weight > ZERO)
         is_shown &= (u >= -HALF) & (u <= right) & (v >= -HALF) & (v <= bottom)
         is_here = is_shown & (depth > nearest) & (depth <= farthest)
@@ -174,17 +214,17 @@ def place_samples(
         weight = weight if is_here else ZERO
         u = u if is_here else ZERO
         v = v if is_here else ZERO
-        scratch[COLUMN * CHUNK + i] = u
-        scratch[ROW * CHUNK + i] = v
-        scratch[NEARNESS * CHUNK + i] = d * reciprocal
+        scratch[i + COLUMN] = u
+        scratch[i + ROW] = v
+        scratch[i + NEARNESS] = d * reciprocal
         u = min(max((u + HALF) * scale_x - HALF, ZERO), last_x)
         v = min(max((v + HALF) * scale_y - HALF, ZERO), last_y)
         left, top = np.int32(min(u, last_left)), np.int32(min(v, last_top))
         offsets[i] = start + top * width + left
-        scratch[FRACTION * CHUNK + i] = u - np.float32(left)
+        scratch[i + FRACTION] = u - np.float32(left)
         lower = weight * (v - np.float32(top))
-        scratch[LOWER * CHUNK + i] = lower
-        scratch[UPPER * CHUNK + i] = weight - lower
+        scratch[i + LOWER] = lower
+        scratch[i + UPPER] = weight - lower
     return here, elsewhere
 
 
@@ -200,20 +240,20 @@ def _depth_places(
 ) -> None:
     """Writes where in a view's depth map a chunk's points lie."""
     last_x, last_y = width - np.int32(1), height - np.int32(1)
-    for i in range(count):
-        column = np.int32((scratch[COLUMN * CHUNK + i] + HALF) * scale_x)
-        row = np.int32((scratch[ROW * CHUNK + i] + HALF) * scale_y)
+    for i in range(np.uintp(count)):
+        column = np.int32((scratch[i + COLUMN] + HALF) * scale_x)
+        row = np.int32((scratch[i + ROW] + HALF) * scale_y)
         places[i] = min(row, last_y) * width + min(column, last_x)
 
 
 @compiled_loop
 def _take_weights(scratch: Float32Array, count: int) -> None:
     """Sets the weights to 0 where the view sees something nearer than the point."""
-    for i in range(count):
-        is_hidden = scratch[SEEN * CHUNK + i] > HIDDEN * scratch[NEARNESS * CHUNK + i]
-        upper, lower = scratch[UPPER * CHUNK + i], scratch[LOWER * CHUNK + i]
-        scratch[UPPER * CHUNK + i] = ZERO if is_hidden else upper
-        scratch[LOWER * CHUNK + i] = ZERO if is_hidden else lower
+    for i in range(np.uintp(count)):
+        is_hidden = scratch[i + SEEN] > HIDDEN * scratch[i + NEARNESS]
+        upper, lower = scratch[i + UPPER], scratch[i + LOWER]
+        scratch[i + UPPER] = ZERO if is_hidden else upper
+        scratch[i + LOWER] = ZERO if is_hidden else lower
 
 
 @compiled_leaf
@@ -245,8 +285,8 @@ def leave_out_hidden(
         return
     scale_x, scale_y = np.float32(width / full_width), np.float32(height / full_height)
     _depth_places(scratch, places, count, scale_x, scale_y, np.int32(width), np.int32(height))
-    for i in range(count):
-        scratch[SEEN * CHUNK + i] = inverse_depth[start + places[i]]
+    for i in range(np.uintp(count)):
+        scratch[i + SEEN] = inverse_depth[start + places[i]]
     _take_weights(scratch, count)
 
 
@@ -273,14 +313,14 @@ def add_samples(
         width: of the pyramid level.
         image: (P, 4) sums of weighted colours and of 255 times the weights, changed.
     """
-    for i in range(count):
+    for i in range(np.uintp(count)):
         add_texels(
             texels,
             offsets[i],
             offsets[i] + width,
-            scratch[FRACTION * CHUNK + i],
-            scratch[UPPER * CHUNK + i],
-            scratch[LOWER * CHUNK + i],
+            scratch[i + FRACTION],
+            scratch[i + UPPER],
+            scratch[i + LOWER],
             image,
-            pixels[first + i],
+            pixels[np.uintp(first) + i],
         )

@@ -14,7 +14,7 @@ from pipelines.artifacts.array_types import (
 from pipelines.lightfield.blending import VIEWS_PER_TILE
 from pipelines.lightfield.blending_kernels import order_by_tile, tile_count
 from pipelines.lightfield.compiled import compiled
-from pipelines.lightfield.sampling_kernels import CHUNK, COEFFICIENTS, SCRATCH_ROWS
+from pipelines.lightfield.sampling_kernels import COEFFICIENTS, LANES, ROW_LENGTH, SCRATCH_SIZE
 from pipelines.lightfield.view_index import ViewIndex
 from pipelines.lightfield.views import ViewArrays
 
@@ -56,9 +56,10 @@ class Workspace(NamedTuple):
         slots: ``(2, N)`` the last cell that a view was in, and its slot there.
         labels: ``(H, W)`` each pixel's cell of the net.
         starts: ``(c + 1,)`` where cells begin in the order of the pixels.
-        columns: ``(H W,)`` places of the pixels in that order, and
-        rows: likewise.
-        pixels: ``(H W,)`` int32 their indices.
+        columns: ``(H W + LANES,)`` places of the pixels in that order, and
+        rows: likewise, and
+        surface: their inverse depths, and
+        pixels: int32 their indices.
         scratch: of a chunk, see ``sampling_kernels``.
         offsets: ``(CHUNK,)`` int32.
         places: ``(CHUNK,)`` int32.
@@ -78,6 +79,7 @@ class Workspace(NamedTuple):
     starts: IntArray
     columns: Float32Array
     rows: Float32Array
+    surface: Float32Array
     pixels: Int32Array
     scratch: Float32Array
     offsets: Int32Array
@@ -92,7 +94,7 @@ def workspace_for(field: LightField, width: int, height: int) -> Workspace:
     cells = 4 * count + 8 if field.is_net else tile_count(width) * tile_count(height)
     labels = np.empty((height, width) if field.is_net else (1, 1), np.int64)
     starts = np.zeros(cells + 1, np.int64)
-    columns, rows = np.empty(pixels, np.float32), np.empty(pixels, np.float32)
+    columns, rows = np.zeros(pixels + LANES, np.float32), np.zeros(pixels + LANES, np.float32)
     order = np.empty(pixels, np.int32)
     if not field.is_net:
         order_by_tile(width, height, columns, rows, starts)
@@ -112,9 +114,10 @@ def workspace_for(field: LightField, width: int, height: int) -> Workspace:
         starts,
         columns,
         rows,
+        np.zeros(pixels + LANES, np.float32),
         order,
-        np.zeros(SCRATCH_ROWS * CHUNK, np.float32),
-        np.zeros(CHUNK, np.int32),
-        np.zeros(CHUNK, np.int32),
+        np.zeros(SCRATCH_SIZE, np.float32),
+        np.zeros(ROW_LENGTH, np.int32),
+        np.zeros(ROW_LENGTH, np.int32),
         np.empty(COEFFICIENTS, np.float32),
     )
