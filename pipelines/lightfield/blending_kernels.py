@@ -21,7 +21,7 @@ from pipelines.lightfield.ranking_kernels import (
     RANKS,
     order_of_groups,
     rank_views,
-    set_point,
+    set_points,
     set_shares,
 )
 from pipelines.lightfield.view_index import ViewIndex
@@ -72,6 +72,15 @@ def order_by_tile(
     starts[cell] = count
 
 
+@compiled_leaf
+def _set_pixel(
+    x: int, y: int, surface: Float32Array, width: int, pixels: Float32Array, lane: int
+) -> None:
+    """Writes place and inverse depth of a pixel as one of those of ``set_points``."""
+    pixels[lane], pixels[POINTS + lane] = x, y
+    pixels[2 * POINTS + lane] = surface[y * width + x]
+
+
 @compiled
 def build_tiles(
     pose: FloatArray,
@@ -109,15 +118,19 @@ def build_tiles(
     corner_weights = np.empty((VIEWS_PER_CORNER, padded), np.float32)
     scratch = np.empty(RANKING_SCRATCH, np.float32)
     best = np.empty(RANKS * POINTS, np.int32)
-    x, y = width // 2, len(surface) // width // 2
-    set_point(pose, rays, x, y, surface[y * width + x], index.origin, scratch, 0)
+    pixels = np.empty(3 * POINTS, np.float32)
+    for lane in range(POINTS):
+        # The middle of the image stands for all of it.
+        _set_pixel(width // 2, len(surface) // width // 2, surface, width, pixels, lane)
+    set_points(pose, rays, index.origin, pixels, scratch)
     order = order_of_groups(index.spheres, scratch)
     for first in range(0, corners, POINTS):
         for lane in range(POINTS):
             # The last corner stands for those that are not there.
             corner = min(first + lane, corners - 1)
             x, y = columns[corner % across], rows[corner // across]
-            set_point(pose, rays, x, y, surface[y * width + x], index.origin, scratch, lane)
+            _set_pixel(x, y, surface, width, pixels, lane)
+        set_points(pose, rays, index.origin, pixels, scratch)
         rank_views(views, index, order, has_depth, scratch, best)
         set_shares(scratch, best, first, corner_views, corner_weights)
     at_corner = np.empty((VIEWS_PER_TILE, 4))
@@ -171,6 +184,7 @@ def _join_corners(
         cell_weights: see ``build_tiles``.
     """
     count = 0
+    step_x, step_y = 1.0 / width, 1.0 / height
     for number in range(4):
         corner = upper_left + number // 2 * across + number % 2
         for rank in range(VIEWS_PER_CORNER):
@@ -189,7 +203,7 @@ def _join_corners(
     for slot in range(count):
         a, b, c, d = at_corner[slot, 0], at_corner[slot, 1], at_corner[slot, 2], at_corner[slot, 3]
         # a (1-s)(1-t) + b s (1-t) + c (1-s) t + d s t with s = x / width, t = y / height.
-        cell_weights[cell, slot, 0] = (b - a) / width
-        cell_weights[cell, slot, 1] = (c - a) / height
+        cell_weights[cell, slot, 0] = (b - a) * step_x
+        cell_weights[cell, slot, 1] = (c - a) * step_y
         cell_weights[cell, slot, 2] = a
-        cell_weights[cell, slot, 3] = (a - b - c + d) / (width * height)
+        cell_weights[cell, slot, 3] = (a - b - c + d) * step_x * step_y

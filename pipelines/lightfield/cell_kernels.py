@@ -34,6 +34,8 @@ from pipelines.lightfield.workspace import LightField, Workspace
 # On a pyramid level a pixel spans about one: levels change where it spans sqrt(2) 2^k of the finest
 # one's, at these depths times the ratio of focal lengths.
 LEVEL_BORDERS = np.sqrt(2.0) / 2.0 ** np.arange(32)
+# Pixels that are passed over at once where a row's labels stay the same.
+STRIDE = 8
 # Cells that are worked on together, at most.
 MOST_MEMBERS = 16
 # In the list of a cell's views: the end, and a view that was shown with an earlier cell.
@@ -89,20 +91,41 @@ def _order_by_label(labels: IntArray, cells: int, space: Workspace) -> None:
     starts[: cells + 1] = 0
     height, width = labels.shape
     for y in range(height):
-        for x in range(width):
-            starts[labels[y, x] + 1] += 1
+        first = 0
+        while first < width:
+            last = _end_of_run(labels, y, first, width)
+            starts[labels[y, first] + 1] += last - first
+            first = last
     for cell in range(cells):
         starts[cell + 1] += starts[cell]
     for y in range(height):
-        for x in range(width):
-            place = starts[labels[y, x]]
-            starts[labels[y, x]] += 1
-            space.columns[place], space.rows[place] = x, y
-            space.pixels[place] = y * width + x
+        first = 0
+        while first < width:
+            last = _end_of_run(labels, y, first, width)
+            place = np.uintp(starts[labels[y, first]])
+            starts[labels[y, first]] += last - first
+            for i in range(np.uintp(last - first)):
+                space.columns[place + i] = np.float32(first + np.int32(i))
+                space.rows[place + i] = np.float32(y)
+                space.pixels[place + i] = y * width + first + np.int32(i)
+            first = last
     # Each start has moved to the next one's place.
     for cell in range(cells, 0, -1):
         starts[cell] = starts[cell - 1]
     starts[0] = 0
+
+
+@compiled_leaf
+def _end_of_run(labels: IntArray, y: int, first: int, width: int) -> int:
+    """The column behind the last of the pixels that share their label with the first.
+
+    Cells are convex, so that what lies between two pixels of one is of it too.
+    """
+    last = first + 1
+    for step in (STRIDE, 1):
+        while last + step <= width and labels[y, last + step - 1] == labels[y, first]:
+            last += step
+    return last
 
 
 @compiled

@@ -56,9 +56,12 @@ def prepared(query: ImageArray | Float32Array) -> Float32Array:
     Returns:
         ``(H, W, 4)``: colours, zero where not to be compared, and 1 where they are, else 0.
     """
-    known = np.asarray(np.isfinite(query).all(axis=2))
-    result = np.zeros((*query.shape[:2], 4), dtype=np.float32)
-    result[..., :3] = np.where(known[..., None], query, 0.0)
+    result = np.empty((*query.shape[:2], 4), dtype=np.float32)
+    result[..., :3] = query
+    # Not a number in one channel is none in their sum.
+    known = np.isfinite(result[..., 0] + result[..., 1] + result[..., 2])
+    if not known.all():
+        result[~known] = 0.0
     result[..., 3] = known
     return result
 

@@ -156,7 +156,7 @@ def triangle_net(
     label[:] = -1
     hull = np.empty((total, 2), dtype=np.int64)
     hull_count = 0
-    cells = 0
+    cells, filled = 0, 0
     for row in range(total):
         a, b, c = triangles[row, 0], triangles[row, 1], triangles[row, 2]
         if c == GHOST:
@@ -167,8 +167,10 @@ def triangle_net(
         cell_weights[cells] = 0.0
         cell_corners[cells, 0], cell_corners[cells, 1], cell_corners[cells, 2] = a, b, c
         _barycentric(points[a], points[b], points[c], cell_weights[cells])
-        _fill(points[a], points[b], points[c], cells, label)
+        filled += _fill(points[a], points[b], points[c], cells, label)
         cells += 1
+    if filled == label.size:
+        return cells
     return _label_outside(points, hull[:hull_count], cells, cell_corners, cell_weights, label)
 
 
@@ -193,9 +195,14 @@ def _crossing(p: FloatArray, q: FloatArray, y: int) -> float:
 
 
 @compiled
-def _fill(a: FloatArray, b: FloatArray, c: FloatArray, cell: int, label: IntArray) -> None:
-    """Writes ``cell`` at the pixels inside a triangle, half-open towards larger x and y."""
+def _fill(a: FloatArray, b: FloatArray, c: FloatArray, cell: int, label: IntArray) -> int:
+    """Writes ``cell`` at the pixels inside a triangle, half-open towards larger x and y.
+
+    Returns:
+        The number of these pixels; no two triangles share any.
+    """
     height, width = label.shape
+    filled = 0
     corners = (a, b, c)
     top = max(0.0, np.ceil(min(a[1], b[1], c[1])))
     bottom = min(float(height - 1), np.floor(max(a[1], b[1], c[1])))
@@ -207,9 +214,10 @@ def _fill(a: FloatArray, b: FloatArray, c: FloatArray, cell: int, label: IntArra
                 x = _crossing(p, q, y)
                 low, high = min(low, x), max(high, x)
         if low < high and high >= 0.0 and low <= width:
-            first = int(np.ceil(max(low, 0.0)))
-            for x in range(first, int(np.ceil(min(high, float(width))))):
-                label[y, x] = cell
+            first, last = int(np.ceil(max(low, 0.0))), int(np.ceil(min(high, float(width))))
+            label[y, first:last] = cell
+            filled += max(last - first, 0)
+    return filled
 
 
 @compiled

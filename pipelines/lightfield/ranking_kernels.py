@@ -74,42 +74,43 @@ def is_occluded(
     return bool(seen > OCCLUSION_FACTOR * own)
 
 
-@compiled_leaf
-def set_point(
+@compiled_loop
+def set_points(
     pose: FloatArray,
     rays: FloatArray,
-    x: int,
-    y: int,
-    inverse_depth: float,
     origin: FloatArray,
+    pixels: Float32Array,
     scratch: Float32Array,
-    lane: int,
 ) -> None:
-    """Writes a virtual pixel's surface point as one of those that are ranked.
+    """Writes the surface points that are ranked.
 
     Args:
         pose: (4, 4) world_from_camera.
         rays: (3, 3) virtual pixels to world directions.
-        x: column of the pixel.
-        y: its row.
-        inverse_depth: of the surface there; 0: none, and no view shows the point.
         origin: (3,) see ``ViewIndex``.
+        pixels: (3 * POINTS,) columns, rows, and inverse depths of the surface there; 0: none, and
+            no view shows the point.
         scratch: (RANKING_SCRATCH,) changed.
-        lane: which of the points.
     """
-    distance = 1.0 / max(inverse_depth, 1.0 / FARTHEST)
-    squared = 0.0
-    for i in range(3):
-        ray = rays[i, 0] * x + rays[i, 1] * y + rays[i, 2]
-        squared += ray * ray
-        place = pose[i, 3] + distance * ray - origin[i]
+    r0, r1, r2 = rays[0, 0], rays[0, 1], rays[0, 2]
+    r3, r4, r5 = rays[1, 0], rays[1, 1], rays[1, 2]
+    r6, r7, r8 = rays[2, 0], rays[2, 1], rays[2, 2]
+    cx, cy, cz = pose[0, 3] - origin[0], pose[1, 3] - origin[1], pose[2, 3] - origin[2]
+    for i in range(POINTS):
+        x, y = np.float64(pixels[i]), np.float64(pixels[POINTS + i])
+        inverse_depth = np.float64(pixels[2 * POINTS + i])
+        distance = 1.0 / max(inverse_depth, 1.0 / FARTHEST)
         # A point that is nowhere is seen from nowhere: its depth in any view is not a number.
-        scratch[POINTS * i + lane] = place if inverse_depth > 0.0 else np.nan
-        scratch[POINTS * (3 + i) + lane] = ray
-    shrink = 1.0 / np.sqrt(squared)
-    for i in range(3):
-        scratch[POINTS * (3 + i) + lane] *= shrink
-    scratch[NEARNESS + lane] = shrink / distance
+        distance = distance if inverse_depth > 0.0 else np.nan
+        rx, ry, rz = r0 * x + r1 * y + r2, r3 * x + r4 * y + r5, r6 * x + r7 * y + r8
+        shrink = 1.0 / np.sqrt(rx * rx + ry * ry + rz * rz)
+        scratch[PX + i] = cx + distance * rx
+        scratch[PY + i] = cy + distance * ry
+        scratch[PZ + i] = cz + distance * rz
+        scratch[VX + i] = rx * shrink
+        scratch[VY + i] = ry * shrink
+        scratch[VZ + i] = rz * shrink
+        scratch[NEARNESS + i] = shrink / distance
 
 
 @compiled_loop

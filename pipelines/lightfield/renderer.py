@@ -20,9 +20,9 @@ from pipelines.lightfield.view_index import build_index
 from pipelines.lightfield.views import Views, views_of_scene, without_depth
 from pipelines.lightfield.workspace import LightField
 
-# So many poses, or pixels, are worked on in one call: enough to make its cost small, few enough to
-# share the work evenly between threads.
-POSES_TOGETHER = 64
+# So many poses are compared in one call: enough to make its cost small, few enough to share work
+# evenly between threads. Rendered images are kept; there it is so many pixels.
+POSES_TOGETHER = 256
 PIXELS_TOGETHER = 80_000
 
 
@@ -176,7 +176,8 @@ class Renderer:
             drawn, _ = self._draw(poses[part], intrinsics)
             images[part], covered[part] = drawn[..., :3], drawn[..., 3] > 0.0
 
-        list(self._pool.map(draw, self._parts(len(poses), intrinsics)))
+        together = max(1, PIXELS_TOGETHER // (intrinsics.width * intrinsics.height))
+        list(self._pool.map(draw, self._parts(len(poses), together)))
         return images, covered
 
     def costs(
@@ -215,7 +216,7 @@ class Renderer:
             own = poses[part]
             score_views(self._field, own, vector, spacing, target, int(cost), fit_gain, costs[part])
 
-        list(self._pool.map(score, self._parts(len(poses), intrinsics)))
+        list(self._pool.map(score, self._parts(len(poses), POSES_TOGETHER)))
         return costs
 
     def _draw(
@@ -241,9 +242,7 @@ class Renderer:
             return 1.0
         return float(cell_size(self.views, intrinsics, self.quality))
 
-    def _parts(self, count: int, intrinsics: Intrinsics) -> Iterator[slice]:
-        """Poses that are worked on in one call, so that every thread gets some."""
-        pixels = intrinsics.width * intrinsics.height
-        most = max(1, min(POSES_TOGETHER, PIXELS_TOGETHER // pixels))
+    def _parts(self, count: int, most: int) -> Iterator[slice]:
+        """Poses that are worked on in one call: at most so many, and some for every thread."""
         together = min(most, max(1, -(-count // self.threads)))
         return (slice(start, start + together) for start in range(0, count, together))
