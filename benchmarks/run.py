@@ -4,7 +4,7 @@ import json
 
 import cv2
 
-from benchmarks import comparison, depth, memory, opening, rendering
+from benchmarks import comparison, depth, gpu, memory, opening, rendering
 from benchmarks.scenes import ROOT, workshop_scene
 from benchmarks.timing import machine
 from pipelines.artifacts.atomic import write_text
@@ -22,6 +22,7 @@ def main() -> None:
         **opening.measure(scene),
         **depth.measure(),
         **memory.measure(),
+        **gpu.measure(scene),
         "machine": machine(),
     }
     write_text(RESULTS, json.dumps(results, indent=2) + "\n", overwrite=True)
@@ -31,7 +32,8 @@ def main() -> None:
     print(rendering.table(results["rendering"]), end="\n\n")
     print(opening.table(results["opening"]), end="\n\n")
     print(depth.table(results["depth"]), end="\n\n")
-    print(memory.table(results["peak_memory_bytes"]))
+    print(memory.table(results["peak_memory_bytes"]), end="\n\n")
+    print(gpu.table(results["gpu"]))
     print(f"\nwritten to {RESULTS.relative_to(ROOT)}")
 
 

@@ -110,6 +110,17 @@ blending_option = click.option(
 )
 
 
+def device_option(default: str | None = "auto") -> Callable[[Decorated], Decorated]:
+    """``--device``; ``default`` None: whatever the config says."""
+    return click.option(
+        "--device",
+        type=click.Choice(["auto", "cpu", "gpu"]),
+        default=default,
+        help="Where views are rendered and compared. auto (the default): on a graphics card where "
+        'there is one, else on the CPU. A card needs pip install "lfnav[gpu]".',
+    )
+
+
 def quality_option(default: str) -> Callable[[Decorated], Decorated]:
     """``--quality``; ``default`` is what the stage takes for a scene that has depth maps."""
     return click.option(

@@ -8,6 +8,7 @@ import click
 
 from lfnav_cli.common import (
     common_options,
+    device_option,
     json_option,
     overwrite_option,
     parse_numbers,
@@ -114,6 +115,7 @@ def parse_fault(
     "--heading-tolerance", type=float, default=0.4, show_default=True, help="Degrees likewise."
 )
 @click.option("--threads", type=int, help="Of the filter. Default: all processors.")
+@device_option()
 @click.option("--seed", type=int, default=0, show_default=True, help="Random seed.")
 @click.option(
     "--dry-run", is_flag=True, help="Only look whether the robot is in order; nothing moves."
@@ -200,6 +202,7 @@ def command(
     position_tolerance: float,
     heading_tolerance: float,
     threads: int | None,
+    device: str,
     seed: int,
     dry_run: bool,
     true_start: tuple[float, float, float] | None,
@@ -257,6 +260,7 @@ def command(
 
     from pipelines.dock.settings import DockSettings
     from pipelines.dock.stage import Goal, dock_robot
+    from pipelines.lightfield.devices import Device
     from pipelines.localize.settings import LocalizerSettings
 
     settings = DockSettings(
@@ -278,7 +282,7 @@ def command(
         Goal(goal, goal_view, goal_image),
         output,
         settings,
-        LocalizerSettings(threads=threads),
+        LocalizerSettings(threads=threads, device=Device(device)),
         options,
         seed=seed,
         overwrite=overwrite,

@@ -9,6 +9,7 @@ import click
 
 from lfnav_cli.common import (
     common_options,
+    device_option,
     json_option,
     overwrite_option,
     parse_numbers,
@@ -152,6 +153,7 @@ def _missing(values: Mapping[str, Path | None]) -> click.MissingParameter:
     help="Pixels across in the last step of the alignment; 0: no refined estimate. Default: 160.",
 )
 @click.option("--threads", type=int, help="Default: all processors.")
+@device_option(None)
 @click.option("--seed", type=int, default=0, show_default=True, help="Random seed.")
 @overwrite_option
 @json_option
@@ -181,6 +183,7 @@ def command(
     width: int | None,
     refine_width: int | None,
     threads: int | None,
+    device: str | None,
     seed: int,
     overwrite: bool,
     as_json: bool,
@@ -198,6 +201,7 @@ def command(
     """
     from pipelines.lightfield.blending import Blending
     from pipelines.lightfield.comparison import Cost
+    from pipelines.lightfield.devices import Device
     from pipelines.localize.config import effective_settings, settings_text
     from pipelines.localize.stage import localize
 
@@ -218,6 +222,7 @@ def command(
         "fine_width": width,
         "refine_width": refine_width,
         "threads": threads,
+        "device": None if device is None else Device(device),
     }
     chosen = {name: value for name, value in options.items() if value is not None}
     if init is not None:

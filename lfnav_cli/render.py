@@ -9,6 +9,7 @@ import click
 from lfnav_cli.common import (
     blending_option,
     common_options,
+    device_option,
     json_option,
     overwrite_option,
     parse_numbers,
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
 @blending_option
 @quality_option("fine")
 @click.option("--fps", type=float, default=10.0, show_default=True, help="Of a video.")
+@device_option()
 @overwrite_option
 @json_option
 @common_options
@@ -56,6 +58,7 @@ def command(
     blending: str,
     quality: str | None,
     fps: float,
+    device: str,
     overwrite: bool,
     as_json: bool,
     progress: "Progress",
@@ -70,6 +73,7 @@ def command(
     if (pose is None) == (poses is None):
         raise click.UsageError("give either --pose or --poses")
     from pipelines.lightfield.blending import Blending
+    from pipelines.lightfield.devices import Device
     from pipelines.lightfield.virtual_views import RenderSettings, render
 
     settings = RenderSettings(
@@ -79,6 +83,7 @@ def command(
         blending=Blending[blending.upper()],
         quality=quality,
         frames_per_second=fps,
+        device=Device(device),
     )
     summary = render(scene, output, settings, overwrite=overwrite, progress=progress)
     print_summary(summary, as_json)

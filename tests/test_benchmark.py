@@ -2,11 +2,14 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
+from benchmarks import gpu as gpu_benchmark
 from benchmarks.comparison import (
     OPENCV,
     Work,
@@ -25,6 +28,9 @@ from pipelines.lightfield.blending import Blending
 from pipelines.lightfield.bundle import load_scene, save_scene
 from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.scene import Scene
+
+if TYPE_CHECKING:
+    from pipelines.lightfield.gpu_device import Gpu
 
 
 @pytest.fixture(scope="module")
@@ -119,3 +125,39 @@ def test_peak_memory_is_the_largest_not_the_last() -> None:
     command = [sys.executable, "-c", code]
     output = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, cwd=ROOT)
     assert 190e6 < int(output.stdout) < 230e6
+
+
+def test_a_software_adapter_is_measured_for_agreement_alone(
+    scene: Scene, gpu: "Gpu", monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gpu_benchmark, "AGREEMENT_PARTICLES", 20)
+    monkeypatch.setattr(gpu_benchmark, "chosen_gpu", lambda _: replace(gpu, is_software=True))
+    figures = gpu_benchmark.measure(scene)["gpu"]
+    assert len(figures["differences"]) == 4
+    for of in figures["differences"].values():
+        assert 0.0 < of["median"] <= of["largest"] < 2e-4
+    assert "particles_per_second" not in figures
+    assert "software adapter" in gpu_benchmark.table(figures)
+
+
+def test_figures_of_a_card(scene: Scene, gpu: "Gpu", monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their arithmetic; a software adapter takes the card's place."""
+    monkeypatch.setattr(gpu_benchmark, "seconds", lambda work: (work(), 0.5)[1])
+    work = gpu_benchmark.work_of(scene, 8)
+    card = gpu_benchmark.card_renderer(work, gpu)
+    figures = gpu_benchmark.speed(gpu_benchmark.cpu_renderer(work), card, work, (2, 8, 4), groups=1)
+    assert figures["frame_ms"] == 500.0
+    assert figures["particles_per_second"] == 16.0
+    assert figures["times_cpu"] == pytest.approx(2.0)
+    assert figures["texels_per_second"] == 2 * 4 * 256 * 64
+    needed = 16.0 * gpu_benchmark.reads_per_particle(card, work)
+    assert figures["share_of_texture_rate"] == pytest.approx(needed / (2 * 4 * 256 * 64))
+    # Between one and all twelve views a pixel.
+    assert 4.0 < gpu_benchmark.reads_per_particle(card, work) / (40 * 30) < 4 * 12
+    shown = {"device": "card", "is_software": False, "size": "40x30", "differences": {}}
+    assert "| 500.00 ms |" in gpu_benchmark.table({**shown, **figures})
+
+
+def test_without_a_card_the_table_says_why(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "wgpu", None)
+    assert "pip install" in gpu_benchmark.table(gpu_benchmark.measure(scene)["gpu"])

@@ -15,6 +15,7 @@ from pipelines.artifacts.errors import InputError, OptionError
 from pipelines.artifacts.toml_file import format_value, read_toml
 from pipelines.lightfield.blending import Blending
 from pipelines.lightfield.comparison import Cost
+from pipelines.lightfield.devices import Device
 from pipelines.localize.config import effective_settings, settings_of, settings_text
 from pipelines.localize.config_keys import KEYS, SECTIONS, degrees_of
 from pipelines.localize.likelihood import LIKELIHOODS, Likelihood
@@ -60,6 +61,7 @@ OTHER: dict[str, tuple[Any, Any]] = {
     "with_pnp": (True, True),
     "proposal": ("both", "both"),
     "threads": (3, 3),
+    "device": (Device.CPU, "cpu"),
 }
 
 

@@ -67,7 +67,7 @@ def test_impossible_values_are_refused_by_name(name: str, value: Any, text: str)
 def test_every_setting_with_a_range_is_in_the_table() -> None:
     fields = set(LocalizerSettings.__dataclass_fields__)
     # These are checked by their own types when they are made.
-    assert set(IMPOSSIBLE) == fields - {"likelihood", "motion", "blending", "with_pnp"}
+    assert set(IMPOSSIBLE) == fields - {"likelihood", "motion", "blending", "with_pnp", "device"}
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from pipelines.experiments.sweep_inputs import program_hash
 from pipelines.experiments.sweep_plan import planned_runs
 from pipelines.experiments.sweep_store import kept_result
 from pipelines.experiments.sweep_workers import run_locally
+from pipelines.lightfield.devices import Device, resolved_device
 from tests.chain_samples import ELEVATORS, first_frames, lfnav, map_elevators, succeed
 
 # What two ways to compute the same must agree in.
@@ -168,6 +169,15 @@ def test_keys_stand_for_everything_that_goes_in(swept: Swept, tmp_path: Path) ->
     (tmp_path / "sweep.toml").write_text(config, encoding="utf-8")
     copied = planned_runs(read_sweep_config(tmp_path / "sweep.toml"), no_progress)
     assert [run.key for run in copied] == [run.key for run in runs[:4]]
+    # What "auto" means is decided for all of them at once, and another device is another run.
+    here = resolved_device(Device.AUTO)
+    assert {run.settings.device for run in runs} == {here}
+    other = Device.GPU if here is Device.CPU else Device.CPU
+    on_other = config.replace("threads = 2", f'device = "{other}"')
+    (tmp_path / "sweep.toml").write_text(on_other, encoding="utf-8")
+    elsewhere = planned_runs(read_sweep_config(tmp_path / "sweep.toml"), no_progress)
+    assert not {run.key for run in elsewhere} & {run.key for run in runs}
+    (tmp_path / "sweep.toml").write_text(config, encoding="utf-8")
     for name in ("rgb/0000.jpg", "groundtruth.txt", "odometry.txt"):
         original = (copy / name).read_bytes()
         (copy / name).write_bytes(original + b"\n")

@@ -118,6 +118,7 @@ def equipment_of(
         chosen.blending,
         quality_named(chosen.quality, bool(scene.depth), Quality.MEDIUM),
         chosen.threads,
+        chosen.device,
     )
 
     def localizer_of(start: tuple[float, ...] | None) -> Localizer:

@@ -1,7 +1,7 @@
 """The stage ``dock``: a scene model, a robot and a goal in, a robot that stands there and a run."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from pipelines.dock.robot import STANDSTILL, CheckedRobot
 from pipelines.dock.robots.choice import RobotOptions, robot_named
 from pipelines.dock.settings import DockSettings
 from pipelines.lightfield.bundle import load_scene
+from pipelines.lightfield.devices import resolved_device
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.run import relative_scene_path, save_run
 from pipelines.localize.settings import LocalizerSettings
@@ -170,6 +171,8 @@ def dock_robot(
     check_output(output, overwrite)
     _check_seed(seed)
     scene = load_scene(scene_path)
+    # The run says where it was computed: another device rounds differently.
+    filter_settings = replace(filter_settings, device=resolved_device(filter_settings.device))
     robot = robot_named(robot_name, scene, robot_options, seed)
     place = _goal_state(goal, scene, robot, filter_settings, seed)
     rng = np.random.default_rng(seed)

@@ -14,6 +14,7 @@ from pipelines.experiments.sweep_config import SweepConfig, SweepDataset
 from pipelines.experiments.sweep_inputs import dataset_hash, odometry_hash, scene_hash
 from pipelines.experiments.sweep_run import Setup, SweepRun
 from pipelines.lightfield.bundle import load_scene
+from pipelines.lightfield.devices import resolved_device
 from pipelines.localize.settings import LocalizerSettings
 
 # Raise it when results that were kept are no longer what would be computed now.
@@ -55,8 +56,9 @@ def _runs(
     config: SweepConfig, dataset: SweepDataset, odometry: Path | None, inputs: Mapping[str, str]
 ) -> Iterator[SweepRun]:
     for chosen, seed in product(config.settings, config.seeds):
-        # There is a process for each processor; the number of threads changes no result.
-        settings = replace(chosen, threads=1)
+        # There is a process for each processor; the number of threads changes no result. The
+        # device does, in the last digits: all runs of a sweep have the same.
+        settings = replace(chosen, threads=1, device=resolved_device(chosen.device))
         yield SweepRun(
             setup=_setup(dataset, odometry, settings, inputs),
             scene=dataset.scene,

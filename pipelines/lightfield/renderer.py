@@ -1,5 +1,6 @@
 """The front of the fast path: renders virtual views, compares many of them with a camera image."""
 
+import logging
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -8,17 +9,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray, ImageArray
-from pipelines.artifacts.errors import OptionError
+from pipelines.artifacts.errors import OptionError, StageError
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
 from pipelines.lightfield.blending import Blending
 from pipelines.lightfield.comparison import Cost, prepared
+from pipelines.lightfield.devices import Device, chosen_gpu
 from pipelines.lightfield.kernels import draw_views, score_views
 from pipelines.lightfield.proxy import Quality, cell_size, usual_inverse_depth
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.view_index import build_index
 from pipelines.lightfield.views import Views, views_of_scene, without_depth
 from pipelines.lightfield.workspace import LightField
+
+logger = logging.getLogger(__name__)
 
 # So many poses are compared in one call: enough to make its cost small, few enough to share work
 # evenly between threads. Rendered images are kept; there it is so many pixels.
@@ -128,9 +132,25 @@ class Renderer:
         blending: Blending = Blending.UNSTRUCTURED,
         quality: Quality = Quality.PLANE,
         threads: int | None = None,
+        device: Device = Device.CPU,
     ) -> "Renderer":
-        """A renderer of a scene's photos, area-averaged to ``largest_side`` pixels at most."""
-        return cls(views_of_scene(scene, largest_side), scene.plane, blending, quality, threads)
+        """A renderer of a scene's photos, area-averaged to ``largest_side`` pixels at most.
+
+        Raises:
+            OptionError: as for the class; a device that is not there or cannot do it.
+        """
+        gpu = chosen_gpu(device)
+        views = views_of_scene(scene, largest_side)
+        if gpu is not None:
+            from pipelines.lightfield.gpu_renderer import GpuRenderer
+
+            try:
+                return GpuRenderer(views, scene.plane, blending, quality, threads, gpu=gpu)
+            except StageError as error:
+                if device is not Device.AUTO:
+                    raise
+                logger.warning("rendering on the CPU, since %s", error)
+        return cls(views, scene.plane, blending, quality, threads)
 
     def render(self, world_from_camera: FloatArray, intrinsics: Intrinsics) -> Rendering:
         """Renders one virtual view.
@@ -203,11 +223,7 @@ class Renderer:
         Raises:
             OptionError: the image has another size than its intrinsics.
         """
-        if query.shape != (intrinsics.height, intrinsics.width, 3):
-            raise OptionError(
-                f"camera image of shape {query.shape} for intrinsics of "
-                f"{intrinsics.width}x{intrinsics.height} pixels"
-            )
+        check_query(query, intrinsics)
         poses = np.ascontiguousarray(world_from_camera, dtype=np.float64)
         target, vector, spacing = prepared(query), intrinsics.vector(), self._spacing(intrinsics)
         costs = np.empty(len(poses))
@@ -246,3 +262,16 @@ class Renderer:
         """Poses that are worked on in one call: at most so many, and some for every thread."""
         together = min(most, max(1, -(-count // self.threads)))
         return (slice(start, start + together) for start in range(0, count, together))
+
+
+def check_query(query: ImageArray | Float32Array, intrinsics: Intrinsics) -> None:
+    """Refuses a camera image that is not ``(H, W, 3)`` of its intrinsics.
+
+    Raises:
+        OptionError: another size.
+    """
+    if query.shape != (intrinsics.height, intrinsics.width, 3):
+        raise OptionError(
+            f"camera image of shape {query.shape} for intrinsics of "
+            f"{intrinsics.width}x{intrinsics.height} pixels"
+        )

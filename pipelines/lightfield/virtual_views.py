@@ -18,6 +18,7 @@ from pipelines.geometry.pose import base_from_camera_mount, world_from_base_plan
 from pipelines.geometry.trajectory import read_tum
 from pipelines.lightfield.blending import Blending
 from pipelines.lightfield.bundle import load_scene
+from pipelines.lightfield.devices import Device
 from pipelines.lightfield.proxy import Quality, quality_named
 from pipelines.lightfield.renderer import Renderer, Rendering
 from pipelines.lightfield.scene import Scene
@@ -38,6 +39,7 @@ class RenderSettings:
         blending: how the light field blends its views.
         quality: name of a ``Quality``; None: the finest that the scene has depth maps for.
         frames_per_second: of a video.
+        device: where the views are rendered.
 
     Raises:
         OptionError: neither or both kinds of poses, or impossible sizes.
@@ -49,6 +51,7 @@ class RenderSettings:
     blending: Blending = Blending.UNSTRUCTURED
     quality: str | None = None
     frames_per_second: float = 10.0
+    device: Device = Device.AUTO
 
     def __post_init__(self) -> None:
         if (self.pose is None) == (self.poses is None):
@@ -118,7 +121,9 @@ def render(
         raise OptionError(f"{output}: {len(poses)} views do not fit in one PNG; name a folder")
     intrinsics = virtual_intrinsics(scene, settings.width)
     quality = quality_named(settings.quality, bool(scene.depth), Quality.FINE)
-    renderer = Renderer.of_scene(scene, blending=settings.blending, quality=quality)
+    renderer = Renderer.of_scene(
+        scene, blending=settings.blending, quality=quality, device=settings.device
+    )
     renderings = (
         renderer.render(pose, intrinsics) for pose in progress(poses, "render", len(poses))
     )

@@ -8,13 +8,14 @@ motion model are ratios of variances, as the model defines them, with radians.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import Enum
 from functools import reduce
 from typing import Any
 
 from pipelines.artifacts.toml_file import format_value, type_name
 from pipelines.lightfield.blending import Blending
 from pipelines.lightfield.comparison import Cost
+from pipelines.lightfield.devices import Device
 from pipelines.localize.settings import LocalizerSettings
 
 SECTIONS = {
@@ -148,17 +149,17 @@ def _pose_text(state: tuple[float, ...]) -> list[float]:
     return [*map(float, state[:positions]), *map(degrees_of, state[positions:])]
 
 
-def _named(names: type[IntEnum]) -> Kind:
+def _named(names: type[Enum]) -> Kind:
     """One of the members of an enumeration, in lower case."""
 
-    def read(value: object) -> IntEnum:
+    def read(value: object) -> Enum:
         members = {member.name.lower(): member for member in names}
         if value not in members:
             raise ValueError
         return members[_text(value)]
 
     known = ", ".join(member.name.lower() for member in names)
-    return Kind(f"one of {known}", read, lambda member: names(member).name.lower())
+    return Kind(f"one of {known}", read, lambda member: str(names(member).name.lower()))
 
 
 def _or_word(kind: Kind, word: str) -> Kind:
@@ -262,6 +263,7 @@ KEYS = (
     Key("rendering", "fine_width", "fine_width", WHOLE, "pixels across while tracking"),
     Key("rendering", "refine_width", "refine_width", WHOLE, "pixels across, alignment; 0: none"),
     Key("rendering", "threads", "threads", _or_word(WHOLE, "all"), "changes no result"),
+    Key("rendering", "device", "device", _named(Device), "auto, cpu or gpu"),
     Key("estimate", "kind", "estimate", TEXT, "refined, mode, mean or max_weight"),
     Key("estimate", "map_position_sigma", "map_position_sigma", NUMBER, "metres"),
     Key("estimate", "map_heading_sigma_deg", "map_heading_sigma", ANGLE, "degrees"),

@@ -91,6 +91,7 @@ class Localizer:
                 settings.blending,
                 quality_named(settings.quality, bool(scene.depth), Quality.MEDIUM),
                 settings.threads,
+                settings.device,
             )
         self._comparison = Comparison(renderer, self.space, body_from_camera, settings.likelihood)
         region = region_of(scene, settings)

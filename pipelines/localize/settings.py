@@ -6,6 +6,7 @@ from typing import Any
 
 from pipelines.artifacts.errors import OptionError
 from pipelines.lightfield.blending import Blending
+from pipelines.lightfield.devices import Device
 from pipelines.lightfield.proxy import Quality, quality_named
 from pipelines.localize.likelihood import LIKELIHOODS, Likelihood
 from pipelines.localize.motion import MotionModel
@@ -61,6 +62,7 @@ class LocalizerSettings:
         map_position_sigma, map_heading_sigma: how accurate the map's poses are taken to be, metres
             and radians; part of the refined estimate's covariance.
         threads: of the comparison; None: all processors.
+        device: where it takes place.
 
     Raises:
         OptionError: a value that makes no sense.
@@ -93,6 +95,7 @@ class LocalizerSettings:
     map_position_sigma: float = 0.015
     map_heading_sigma: float = math.radians(0.4)
     threads: int | None = None
+    device: Device = Device.AUTO
 
     def __post_init__(self) -> None:
         _one_of("method", self.method, METHODS)
@@ -178,6 +181,7 @@ class LocalizerSettings:
         values = asdict(self)
         values["likelihood"]["cost"] = self.likelihood.cost.name.lower()
         values["blending"] = self.blending.name.lower()
+        values["device"] = self.device.value
         for name in ("start", "area"):
             values[name] = None if values[name] is None else list(values[name])
         # Results do not depend on it, and the file shall not either.

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from pipelines.dataset.dataset import (
 )
 from pipelines.geometry.camera import Camera
 from pipelines.lightfield.bundle import load_scene
+from pipelines.lightfield.devices import resolved_device
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.description import RunSummary
 from pipelines.localize.localizer import Localizer, region_of
@@ -74,6 +76,9 @@ def localize(
     scene = load_scene(scene_path)
     points = None if reconstruction is None else load_reconstruction(reconstruction)
     dataset = load_dataset(dataset_path, odometry=odometry)
+    if settings.method == "filter":
+        # The file says where it was computed: another device rounds differently.
+        settings = replace(settings, device=resolved_device(settings.device))
     source = odometry if odometry is not None else dataset_path / ODOMETRY_FILE
     inputs = {"scene": scene.identifier}
     if dataset.odometry is not None:

@@ -1,0 +1,15 @@
+// The tiles of virtual images, a thread for each corner, then for each tile; z counts the poses.
+
+@compute @workgroup_size(64)
+fn weigh(@builtin(global_invocation_id) id: vec3<u32>) {
+  if (id.x < corner_count()) {
+    weigh_corner(id.z, poses[settings.first + id.z], id.x);
+  }
+}
+
+@compute @workgroup_size(64)
+fn join(@builtin(global_invocation_id) id: vec3<u32>) {
+  if (id.x < tile_count()) {
+    join_corners(id.z, id.x);
+  }
+}
