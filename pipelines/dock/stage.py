@@ -53,6 +53,7 @@ class DockSummary:
 
     path: Path
     docking: Docking
+    note: str = ""
 
     @property
     def exit_code(self) -> int:
@@ -86,6 +87,8 @@ class DockSummary:
                 f"robot {shares['robot']:.0%}, filter {shares['filter']:.0%}, rest {rest:.0%}",
             ),
         ]
+        if self.note:
+            rows.append(("robot", self.note))
         if self.true_error is not None:
             metres, radians = self.true_error
             text = f"{100.0 * metres:.1f} cm, {math.degrees(radians):.2f} deg"
@@ -109,6 +112,7 @@ class DockSummary:
             },
             "steps": len(docking.entries),
             "attempts": docking.attempts,
+            "robot": self.note,
             "seconds": docking.seconds,
             "true_error": None
             if error is None
@@ -189,7 +193,7 @@ def dock_robot(
     elif docking.outcome.ending is Ending.ROBOT_FAILED:
         # Not a single image: there is nothing that a run could hold.
         raise OptionError(f"{docking.outcome.reason}; no run was written")
-    return DockSummary(output, docking)
+    return DockSummary(output, docking, robot.note)
 
 
 def dry_run(
@@ -216,6 +220,8 @@ def dry_run(
         f"{math.degrees(measured.turn):.3f} deg",
         "seconds for these": f"{robot.seconds:.3f}",
     }
+    if robot.note:
+        facts = {"camera images": robot.note, **facts}
     return DryRunSummary(robot_name, robot, facts)
 
 
