@@ -93,12 +93,15 @@ class SimulatorRobot:
         self.camera = camera
         self.base_from_camera = base_from_camera
         self._mitsuba = imported_mitsuba(tracing.variant)
-        self.note = f"path-traced, {self._mitsuba.variant()}, {tracing.samples} paths a pixel"
+        self._variant = str(self._mitsuba.variant())
+        self.note = f"path-traced, {self._variant}, {tracing.samples} paths a pixel"
         self._scene = _loaded(self._mitsuba, path)
         self._motion, self._sensor, self._tracing, self._rng = motion, sensor, tracing, rng
 
     def take_image(self) -> ImageArray:
         """The view at the true pose."""
+        # The variant is a setting of the whole process; another robot may have chosen its own.
+        self._mitsuba.set_variant(self._variant)
         pose = world_from_base_planar(self._motion.state) @ self.base_from_camera
         sensor = _sensor(self._mitsuba, pose, self.camera.intrinsics, self._tracing.samples)
         rendered = self._mitsuba.render(
