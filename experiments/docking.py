@@ -2,36 +2,74 @@
 
     python experiments/docking.py SCENE.h5 ROBOT -o FOLDER [--rows omni,diff] [--starts 20]
 
-ROBOT is ``sim:sample_data/elevators/scene/scene.xml``, or ``model:WORLD.h5`` with another model
-of the same lobby as the robot's world. A path-traced docking takes a minute or two.
+For the lobby, ROBOT is ``sim:sample_data/elevators/scene/scene.xml``, or ``model:WORLD.h5`` with
+another model of it as the robot's world; for the row ``doorway``, SCENE.h5 is a model of the place
+that ``doorway.py`` photographs and ROBOT ``sim:sample_data/doorway/scene/scene.xml``. A path-traced
+docking takes a minute or two. What was interrupted goes on where it was: dockings whose run and
+result are in FOLDER, made with the same settings, are not done again.
 """
 
 import argparse
 import json
 import math
 import sys
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.atomic import write_text
 from pipelines.dock.dock import Report
 from pipelines.dock.robots.actuation import MotionNoise
 from pipelines.dock.robots.choice import RobotOptions
 from pipelines.dock.robots.simulator import PathTracing
 from pipelines.dock.settings import DockSettings
 from pipelines.dock.stage import DockSummary, Goal, dock_robot
+from pipelines.lightfield.bundle import load_scene
 from pipelines.localize.settings import LocalizerSettings
 
-GOAL = (-1.15, -1.65, math.pi / 2.0)
-# Starts: x, y; the wall is y = 0 and reaches from -5.2 to 5.2 m, the map shows it up to 2.8 m.
-X, Y = (-3.0, 2.0), (-5.0, -2.5)
-WALL = (-4.9, 2.8)
 HALF_FIELD_OF_VIEW = math.radians(29.0)
 SEED = 123
 RANDOM = MotionNoise()
 SYSTEMATIC = replace(RANDOM, scale=0.15, drift=math.radians(9.0))
+# The true path is looked at in so many places between two images.
+PLACES_ON_PATH = 20
+
+
+def wall_distance(places: FloatArray) -> FloatArray:
+    """Metres from places ``(N, 2)`` to the wall y = 0."""
+    return -places[:, 1]
+
+
+def pillar_distance(places: FloatArray) -> FloatArray:
+    """Metres from places ``(N, 2)`` to the nearest of the two pillars of ``doorway.py``."""
+    outside = np.maximum(np.abs(np.abs(places) - [0.65, 2.0]) - 0.2, 0.0)
+    return np.asarray(np.hypot(outside[:, 0], outside[:, 1]))
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where dockings take place.
+
+    Attributes:
+        goal: x, y, heading.
+        x, y: of the starts.
+        wall: from where to where the map shows the wall y = 0.
+        distance: from places to what must not be touched.
+    """
+
+    goal: tuple[float, float, float]
+    x: tuple[float, float]
+    y: tuple[float, float]
+    wall: tuple[float, float]
+    distance: Callable[[FloatArray], FloatArray]
+
+
+LOBBY = Place((-1.15, -1.65, math.pi / 2.0), (-3.0, 2.0), (-5.0, -2.5), (-4.9, 2.8), wall_distance)
+DOORWAY = Place((0.0, -1.0, math.pi / 2.0), (-1.4, 1.4), (-5.0, -3.4), (-2.4, 2.4), pillar_distance)
 
 
 @dataclass(frozen=True)
@@ -40,111 +78,157 @@ class Row:
 
     Attributes:
         title: of the row.
-        drive: ``omni`` or ``diff``.
+        settings: of the docking.
         motion: errors of movements and odometry.
         sees_wall: whether the camera sees some of the wall at the start, or none of it.
         fault: kind and step of something that goes wrong, or None.
+        place: where.
+        starts: how many at most.
     """
 
     title: str
-    drive: str = "omni"
+    settings: DockSettings = field(default_factory=DockSettings)
     motion: MotionNoise = RANDOM
     sees_wall: bool = True
     fault: tuple[str, int] | None = None
+    place: Place = LOBBY
+    starts: int = 20
 
 
 ROWS = {
     "omni": Row("omni, 2 % and 0.5° a step"),
     "systematic": Row("omni, 15 % and 9° a metre", motion=SYSTEMATIC),
-    "diff": Row("differential drive", drive="diff"),
-    "blind": Row("starts that see none of the wall", sees_wall=False),
-    "blocked": Row("wheels blocked from step 8", fault=("blocked", 8)),
-    "black": Row("camera black from step 8", fault=("black", 8)),
-    "driver": Row("driver raises at step 8", fault=("driver", 8)),
+    "diff": Row("differential drive", DockSettings(drive="diff")),
+    "blind": Row("starts that see none of the wall", sees_wall=False, starts=10),
+    "blocked": Row("wheels blocked from step 8", fault=("blocked", 8), starts=1),
+    "black": Row("camera black from step 8", fault=("black", 8), starts=1),
+    "driver": Row("driver raises at step 8", fault=("driver", 8), starts=1),
+    "doorway": Row(
+        "passage of 0.9 m, robot of 0.6 m",
+        DockSettings(staging_distance=2.2, robot_radius=0.3),
+        place=DOORWAY,
+        starts=10,
+    ),
 }
+LOBBY_ROWS = [name for name, row in ROWS.items() if row.place is LOBBY]
 
 
-def wall_share(state: FloatArray) -> float:
+def wall_share(place: Place, state: FloatArray) -> float:
     """Share of the field of view of a state ``(3,)`` that meets the mapped wall."""
     directions = state[2] + np.linspace(-HALF_FIELD_OF_VIEW, HALF_FIELD_OF_VIEW, 31)
     towards = np.sin(directions) > 0.05
     reach = np.where(towards, -state[1] / np.where(towards, np.sin(directions), 1.0), np.inf)
     x = state[0] + np.where(towards, reach * np.cos(directions), np.inf)
-    return float(np.mean((x > WALL[0]) & (x < WALL[1])))
+    return float(np.mean((x > place.wall[0]) & (x < place.wall[1])))
 
 
-def starts(count: int, sees_wall: bool) -> list[FloatArray]:
+def starts(row: Row, count: int) -> list[FloatArray]:
     """The same random starts every time."""
     rng = np.random.default_rng(SEED)
     found: list[FloatArray] = []
+    place = row.place
     while len(found) < count:
-        state = np.array([rng.uniform(*X), rng.uniform(*Y), rng.uniform(-math.pi, math.pi)])
-        share = wall_share(state)
-        if (share > 0.25) if sees_wall else (share == 0.0):
+        x, y = rng.uniform(*place.x), rng.uniform(*place.y)
+        state = np.array([x, y, rng.uniform(-math.pi, math.pi)])
+        share = wall_share(place, state)
+        if (share > 0.25) if row.sees_wall else (share == 0.0):
             found.append(state)
     return found
 
 
-def docked(
-    scene: Path, robot: str, folder: Path, name: str, number: int, samples: int
-) -> DockSummary:
-    """One docking of a row; its run is left in the folder."""
+@dataclass(frozen=True)
+class Inputs:
+    """What all dockings of a table have in common."""
+
+    scene: Path
+    robot: str
+    folder: Path
+    samples: int
+
+
+def result_of(inputs: Inputs, identifier: str, name: str, number: int) -> dict[str, Any]:
+    """One docking of a row: done now, or before with the same settings."""
     row = ROWS[name]
-    x, y, heading = starts(number + 1, row.sees_wall)[number]
-    return dock_robot(
-        scene,
-        robot,
-        Goal(pose=GOAL),
-        folder / name / f"start-{number:02d}.h5",
-        DockSettings(drive=row.drive),
+    x, y, heading = (float(value) for value in starts(row, number + 1)[number])
+    options = RobotOptions(
+        true_start=(x, y, heading),
+        motion=row.motion,
+        tracing=PathTracing(inputs.samples),
+        fault=row.fault,
+    )
+    made_with = {
+        "scene": identifier,
+        "robot": inputs.robot,
+        "goal": list(row.place.goal),
+        "settings": row.settings.to_dict(),
+        "options": json.loads(json.dumps(asdict(options), default=str)),
+    }
+    path = inputs.folder / name / f"start-{number:02d}.h5"
+    record = path.with_suffix(".json")
+    if path.is_file() and record.is_file():
+        before: dict[str, Any] = json.loads(record.read_text(encoding="utf-8"))
+        if before["made_with"] == made_with:
+            return before
+    summary = dock_robot(
+        inputs.scene,
+        inputs.robot,
+        Goal(pose=row.place.goal),
+        path,
+        row.settings,
         LocalizerSettings(),
-        RobotOptions(
-            true_start=(float(x), float(y), float(heading)),
-            motion=row.motion,
-            tracing=PathTracing(samples),
-            fault=row.fault,
-        ),
+        options,
         seed=number,
         overwrite=True,
         listener=_silent,
     )
+    result = {
+        "made_with": made_with,
+        "nearest_m": nearest(row.place, summary),
+        **summary.to_dict(),
+    }
+    write_text(record, json.dumps(result, indent=2), overwrite=True)
+    return result
 
 
 def _silent(report: Report) -> None:
     """Says nothing of a step."""
 
 
-def nearest_to_wall(summary: DockSummary) -> float:
-    """Metres between the wall and the nearest place where the robot really was."""
-    places = [e.true_state for e in summary.docking.entries if e.true_state is not None]
-    return -max(float(place[1]) for place in places)
+def nearest(place: Place, summary: DockSummary) -> float:
+    """Metres between the robot's middle and what must not be touched, anywhere on its true path."""
+    states = [e.true_state for e in summary.docking.entries if e.true_state is not None]
+    places = np.stack(states)[:, :2]
+    shares = np.linspace(0.0, 1.0, PLACES_ON_PATH)[:, None, None]
+    between = places[:1] if len(places) == 1 else places[:-1] + shares * np.diff(places, axis=0)
+    return float(place.distance(between.reshape(-1, 2)).min())
 
 
-def table_line(name: str, results: list[DockSummary]) -> str:
+def table_line(name: str, results: list[dict[str, Any]]) -> str:
     """A row of the table, Markdown."""
-    errors = [r.true_error for r in results if r.exit_code == 0 and r.true_error is not None]
-    metres, radians = np.array(errors or [(math.nan, math.nan)]).T
-    endings = [r.docking.outcome.ending.word for r in results]
+    docked = [r["true_error"] for r in results if r["exit_code"] == 0 and r["true_error"]]
+    errors = [(error["position_m"], error["heading_deg"]) for error in docked]
+    metres, degrees = np.array(errors or [(math.nan, math.nan)]).T
+    endings = [r["outcome"] for r in results]
     counts = ", ".join(f"{endings.count(word)} {word}" for word in dict.fromkeys(endings))
-    seconds = {
-        part: sum(r.docking.seconds[part] for r in results) for part in ("total", "robot", "filter")
-    }
+    parts = ("total", "robot", "filter")
+    seconds = {part: sum(r["seconds"][part] for r in results) for part in parts}
+    robot, belief = (seconds[part] / seconds["total"] for part in ("robot", "filter"))
     cells = [
         ROWS[name].title,
         f"{counts} of {len(results)}",
         f"{100 * np.median(metres):.1f} / {100 * metres.max():.1f} cm",
-        f"{np.degrees(np.median(radians)):.2f} / {np.degrees(radians.max()):.2f}°",
-        f"{min(nearest_to_wall(r) for r in results):.2f} m",
-        f"{np.median([len(r.docking.entries) for r in results]):.0f}",
+        f"{np.median(degrees):.2f} / {degrees.max():.2f}°",
+        f"{min(r['nearest_m'] for r in results):.2f} m",
+        f"{np.median([r['steps'] for r in results]):.0f}",
         f"{seconds['total'] / len(results):.0f}",
-        f"{seconds['robot'] / seconds['total']:.0%} / {seconds['filter'] / seconds['total']:.0%}",
+        f"{robot:.0%} / {belief:.0%} / {1.0 - robot - belief:.0%}",
     ]
     return "| " + " | ".join(cells) + " |"
 
 
 HEADING = (
-    "| what | outcome | true error, median / worst docked | heading likewise | nearest to the wall "
-    "| steps | seconds | time in robot / filter |\n|---|---|---|---|---|---|---|---|"
+    "| what | outcome | true error, median / worst docked | heading likewise | nearest | steps "
+    "| seconds | time in robot / filter / rest |\n|---|---|---|---|---|---|---|---|"
 )
 
 
@@ -154,33 +238,38 @@ def main() -> int:
     parser.add_argument("scene", type=Path)
     parser.add_argument("robot")
     parser.add_argument("-o", "--output", type=Path, required=True)
-    parser.add_argument("--rows", default=",".join(ROWS))
-    parser.add_argument("--starts", type=int, default=20)
-    parser.add_argument("--samples", type=int, default=8)
+    parser.add_argument("--rows", default=",".join(LOBBY_ROWS))
+    parser.add_argument("--starts", type=int, default=20, help="a row at most")
+    parser.add_argument("--samples", type=int, default=PathTracing().samples)
     options = parser.parse_args()
-    lines, records = [HEADING], {}
-    for name in options.rows.split(","):
-        count = options.starts if ROWS[name].fault is None else 1
-        results = []
-        for number in range(count):
-            results.append(
-                docked(options.scene, options.robot, options.output, name, number, options.samples)
-            )
-            last = results[-1].to_dict()
+    inputs = Inputs(options.scene, options.robot, options.output, options.samples)
+    identifier = load_scene(options.scene).identifier
+    results: dict[str, list[dict[str, Any]]] = {name: [] for name in options.rows.split(",")}
+    # The first start of every row, then the second: a table of what is there says something of all.
+    for number in range(options.starts):
+        for name, found in results.items():
+            if number >= ROWS[name].starts:
+                continue
+            last = result_of(inputs, identifier, name, number)
+            found.append(last)
             error = last["true_error"] or {"position_m": math.nan, "heading_deg": math.nan}
             print(
                 f"{name} {number}: {last['outcome']}, {last['steps']} steps, "
-                f"{100 * error['position_m']:.1f} cm, {error['heading_deg']:.2f} deg",
+                f"{100 * error['position_m']:.1f} cm, {error['heading_deg']:.2f} deg, "
+                f"nearest {last['nearest_m']:.2f} m",
                 file=sys.stderr,
                 flush=True,
             )
-        records[name] = [result.to_dict() for result in results]
-        lines.append(table_line(name, results))
-    options.output.mkdir(parents=True, exist_ok=True)
-    (options.output / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    (options.output / "results.json").write_text(json.dumps(records, indent=2), encoding="utf-8")
-    print("\n".join(lines))
+        write_table(options.output, results)
+    print((options.output / "table.md").read_text(encoding="utf-8"), end="")
     return 0
+
+
+def write_table(folder: Path, results: dict[str, list[dict[str, Any]]]) -> None:
+    """Writes what is there so far."""
+    lines = [HEADING, *(table_line(name, found) for name, found in results.items() if found)]
+    (folder / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    (folder / "results.json").write_text(json.dumps(results, indent=2), encoding="utf-8")
 
 
 if __name__ == "__main__":

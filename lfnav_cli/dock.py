@@ -89,18 +89,26 @@ def parse_fault(
 @click.option("--largest-step", type=float, default=0.4, show_default=True, help="Metres.")
 @click.option("--largest-turn", type=float, default=40.0, show_default=True, help="Degrees.")
 @click.option(
+    "--robot-radius",
+    type=float,
+    default=0.0,
+    metavar="METRES",
+    help="Of the circle that the robot fills on the floor, for narrow places.",
+)
+@click.option(
     "--least-distance",
     type=float,
-    default=0.5,
-    show_default=True,
-    help="Metres of the robot's middle from the scene's surface.",
+    metavar="METRES",
+    help="Of the robot's middle from the scene's surface. Default: the robot's radius and 0.05, or "
+    "0.5 where no radius is given.",
 )
 @click.option(
     "--staging-distance",
     type=float,
     default=0.8,
     show_default=True,
-    help="The last approach begins so many metres straight behind the goal.",
+    help="The last approach begins so many metres straight behind the goal. Where the goal lies "
+    "behind a door: before the door.",
 )
 @click.option("--max-steps", type=int, default=120, show_default=True, help="Then it gives up.")
 @click.option("--max-seconds", type=float, default=1800.0, show_default=True, help="Likewise.")
@@ -132,7 +140,7 @@ def parse_fault(
     metavar="camera.toml",
     help="Simulated robots: its camera and mount. Default: the scene's, --camera-width pixels.",
 )
-@click.option("--camera-width", type=int, default=160, show_default=True, help="Likewise.")
+@click.option("--camera-width", type=int, default=240, show_default=True, help="Likewise.")
 @click.option(
     "--motion-noise",
     metavar="SHARE,DEG",
@@ -172,7 +180,14 @@ def parse_fault(
     help="Simulated robots: noise of each pixel in grey levels, share by which brightness wanders.",
 )
 @click.option(
-    "--samples", type=int, default=8, show_default=True, help="sim: paths traced for each pixel."
+    "--samples", type=int, default=16, show_default=True, help="sim: paths traced for each pixel."
+)
+@click.option(
+    "--variant",
+    type=click.Choice(["fastest", "llvm_ad_rgb", "scalar_rgb"]),
+    default="fastest",
+    show_default=True,
+    help="sim: of Mitsuba. llvm_ad_rgb needs the library LLVM; fastest: it, where it loads.",
 )
 @click.option(
     "--fault",
@@ -195,7 +210,8 @@ def command(
     area: tuple[float, float, float, float] | None,
     largest_step: float,
     largest_turn: float,
-    least_distance: float,
+    robot_radius: float,
+    least_distance: float | None,
     staging_distance: float,
     max_steps: int,
     max_seconds: float,
@@ -214,6 +230,7 @@ def command(
     slip: float,
     sensor_noise: tuple[float, float],
     samples: int,
+    variant: str,
     fault: tuple[str, int] | None,
     overwrite: bool,
     as_json: bool,
@@ -250,7 +267,7 @@ def command(
             slip=slip,
         ),
         sensor=SensorNoise(*sensor_noise),
-        tracing=PathTracing(samples),
+        tracing=PathTracing(samples, variant=variant),
         fault=fault,
     )
     if dry_run:
@@ -269,6 +286,7 @@ def command(
         area=area,
         largest_step=largest_step,
         largest_turn=math.radians(largest_turn),
+        robot_radius=robot_radius,
         least_distance=least_distance,
         staging_distance=staging_distance,
         max_steps=max_steps,

@@ -57,6 +57,11 @@ if TYPE_CHECKING:
     show_default=True,
     help="sfm: longer side of the images in which features are sought.",
 )
+@click.option(
+    "--planar",
+    is_flag=True,
+    help="sfm: the camera was carried by a robot on a floor; poses are kept on it. Needs odometry.",
+)
 @overwrite_option
 @json_option
 @common_options
@@ -70,6 +75,7 @@ def command(
     seed: int,
     max_features: int,
     max_size: int,
+    planar: bool,
     overwrite: bool,
     as_json: bool,
     progress: "Progress",
@@ -83,6 +89,7 @@ def command(
     \b
     Example:
       lfnav reconstruct sample_data/elevators/map -o out/elevators --method odometry
+      lfnav reconstruct sample_data/elevators/map -o out/elevators --method sfm --planar
       lfnav reconstruct sample_data/workshop/map -o out/workshop --method sfm
     """
     from pipelines.reconstruct.stage import ReconstructSettings, reconstruct
@@ -95,6 +102,7 @@ def command(
         seed=seed,
         max_features=max_features,
         max_size=max_size,
+        planar=planar,
     )
     summary = reconstruct(dataset, output, settings, overwrite=overwrite, progress=progress)
     print_summary(summary, as_json)

@@ -11,11 +11,18 @@ import pytest
 from lfnav_cli import common
 from lfnav_cli.main import main
 from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.errors import StageError
 from pipelines.dataset.images import encode_png
 from pipelines.dock.robots.actuation import MotionNoise, SimulatedMotion
 from pipelines.dock.robots.replay import ReplayRobot
 from pipelines.dock.robots.sensor import SensorNoise
-from pipelines.dock.robots.simulator import PathTracing, SimulatorRobot, developed
+from pipelines.dock.robots.simulator import (
+    VARIANTS,
+    PathTracing,
+    SimulatorRobot,
+    developed,
+    imported_mitsuba,
+)
 from pipelines.geometry.camera import Camera
 from pipelines.localize.run import load_run
 from tests.dock_samples import EXACT, GOAL, START, written_scene
@@ -184,8 +191,11 @@ def test_a_mitsuba_scene_that_does_not_load(
     check_one_line(arguments, capsys, "missing.xml", "does not exist")
 
 
-def test_the_simulator_sees_what_the_photos_show() -> None:
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_the_simulator_sees_what_the_photos_show(variant: str) -> None:
     pytest.importorskip("mitsuba")
+    if variant.startswith("llvm") and not has_llvm():
+        pytest.skip("the library LLVM is not there")
     from pipelines.dataset.dataset import load_dataset
     from pipelines.geometry.pose import planar_state_of
 
@@ -195,9 +205,9 @@ def test_the_simulator_sees_what_the_photos_show() -> None:
     camera = Camera("PINHOLE", 40, 30, (577.295282 / 16, 577.295282 / 16, 19.5, 14.5))
     motion = SimulatedMotion(state, MotionNoise(), _rng())
     path = SAMPLE / "scene" / "scene.xml"
-    robot = SimulatorRobot(
-        path, camera, MOUNT, motion, SensorNoise(0, 0), PathTracing(64, False), _rng()
-    )
+    tracing = PathTracing(64, False, variant)
+    robot = SimulatorRobot(path, camera, MOUNT, motion, SensorNoise(0, 0), tracing, _rng())
+    assert variant in robot.note
     image = robot.take_image().astype(np.float64)
     recorded = dataset.read_image(3).reshape(30, 16, 40, 16, 3).mean(axis=(1, 3))
     shifted = np.roll(recorded, 4, axis=1)
@@ -205,10 +215,26 @@ def test_the_simulator_sees_what_the_photos_show() -> None:
     assert np.abs(image - recorded).mean() < 0.5 * np.abs(image - shifted).mean()
 
 
+def test_the_fastest_variant_is_one_that_loads(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("mitsuba")
+    monkeypatch.setattr("drjit.has_backend", lambda backend: False)
+    assert imported_mitsuba().variant() == "scalar_rgb"
+    with pytest.raises(StageError, match="libllvm"):
+        imported_mitsuba("llvm_ad_rgb")
+
+
 def test_the_response_is_that_of_the_photos() -> None:
     # x = L (1 + L / 9) / (1 + L) * 1.35, then sRGB: 0.5 gives 0.475 and 183.25 of 255.
     radiance = np.array([[[0.0, 0.5, 50.0]]], dtype=np.float32)
     np.testing.assert_array_equal(developed(radiance), [[[0, 183, 255]]])
+
+
+def has_llvm() -> bool:
+    try:
+        imported_mitsuba("llvm_ad_rgb")
+    except StageError:
+        return False
+    return True
 
 
 def _rng() -> np.random.Generator:

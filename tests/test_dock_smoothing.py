@@ -15,7 +15,7 @@ SIGMAS = np.array([0.03, 0.03, math.radians(1.0)])
 
 def fix(state: FloatArray, *, refined: bool = True, sure: bool = True) -> Fix:
     modes = np.array([[*state, 1.0]])
-    return Fix(state, np.diag(SIGMAS**2), modes, refined, sure, False)
+    return Fix(state, np.diag(SIGMAS**2), modes, refined, sure, False, refined)
 
 
 def drive(seed: int, scale: float) -> tuple[float, float]:

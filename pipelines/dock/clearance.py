@@ -92,10 +92,14 @@ def _surface_points(scene: Scene, top: float) -> FloatArray | None:
     if not scene.depth:
         return None
     points = [_points_of_view(scene, index, top) for index in range(len(scene))]
-    cells = np.floor(np.concatenate(points) / CELL).astype(np.int64)
-    occupied, counts = np.unique(cells, axis=0, return_counts=True)
-    kept = occupied[counts >= LEAST_POINTS]
-    return None if len(kept) == 0 else np.asarray((kept + 0.5) * CELL, dtype=np.float64)
+    places = np.concatenate(points)
+    cells = np.floor(places / CELL).astype(np.int64)
+    _, owner, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+    owner = owner.reshape(-1)
+    sums = [np.bincount(owner, places[:, axis], len(counts)) for axis in range(2)]
+    # The middle of a cell's points and not of the cell: narrow passages count centimetres.
+    kept = np.stack(sums, axis=1)[counts >= LEAST_POINTS] / counts[counts >= LEAST_POINTS, None]
+    return None if len(kept) == 0 else np.asarray(kept, dtype=np.float64)
 
 
 def _points_of_view(scene: Scene, index: int, top: float) -> FloatArray:

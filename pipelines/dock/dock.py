@@ -60,6 +60,8 @@ Listener = Callable[[Report], None]
 
 # After so many images running that the belief cannot explain, it is given up for a new search.
 LARGEST_LOST = 2
+# Fixes are aligned with the photos from this far beyond the staging pose on, metres.
+ALIGNED_BEYOND_STAGING = 0.3
 
 
 @dataclass(frozen=True)
@@ -109,7 +111,7 @@ def equipment_of(
         raise OptionError("docking takes place on a floor: the filter needs 3 degrees of freedom")
     x_min, x_max, y_min, y_max = settings.area or map(float, scene.bounds)
     clearance = Clearance(scene, float(robot.base_from_camera[2, 3]))
-    safety = Safety((x_min, x_max, y_min, y_max), clearance, settings.least_distance)
+    safety = Safety((x_min, x_max, y_min, y_max), clearance, settings.distance_kept)
     safety.check_goal(goal)
     chosen = replace(filter_settings, start=settings.start, area=settings.area)
     renderer = Renderer.of_scene(
@@ -127,7 +129,8 @@ def equipment_of(
 
     intrinsics = Undistorter(robot.camera).intrinsics
     explorer = Explorer(renderer, robot.base_from_camera, intrinsics, safety)
-    alignment = FineAlignment(scene, robot.camera, robot.base_from_camera, chosen)
+    reach = settings.staging_distance + ALIGNED_BEYOND_STAGING
+    alignment = FineAlignment(scene, robot.camera, robot.base_from_camera, chosen, goal, reach)
     pilot = Pilot(goal, settings, safety, explorer)
     return Equipment(
         robot,

@@ -27,6 +27,7 @@ class Fix:
         is_refined: whether ``state`` was aligned with the image.
         is_sure: whether the belief has one narrow peak that explains the image.
         is_blind: whether the image shows nothing.
+        is_aligned: whether ``state`` was aligned at the highest resolution.
     """
 
     state: FloatArray
@@ -35,6 +36,7 @@ class Fix:
     is_refined: bool
     is_sure: bool
     is_blind: bool
+    is_aligned: bool = False
 
 
 def fix_of(record: FrameRecord) -> Fix:

@@ -279,7 +279,7 @@ class Pilot:
         settings = self.settings
         distance, turn = self.distances(fix)
         return (
-            fix.is_refined
+            fix.is_aligned
             and distance <= settings.position_tolerance
             and turn <= settings.heading_tolerance
             and distance + SIGMAS * position_sigma(fix.covariance) <= settings.position_bound

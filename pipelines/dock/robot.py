@@ -99,6 +99,8 @@ class CheckedRobot:
 
     def __init__(self, robot: Any) -> None:
         self.name = type(robot).__name__
+        # What a robot wants to have said of itself, if anything.
+        self.note = str(getattr(robot, "note", ""))
         missing = [name for name in METHODS if not callable(getattr(robot, name, None))]
         missing += [name for name in ATTRIBUTES if not hasattr(robot, name)]
         if missing:

@@ -7,6 +7,9 @@ from typing import Any
 from pipelines.artifacts.errors import OptionError
 
 DRIVES = ("omni", "diff")
+# A robot of a known radius keeps this much between its hull and the surface; any other keeps its
+# middle this far from it. Metres.
+MARGIN, USUAL_DISTANCE = 0.05, 0.5
 
 
 @dataclass(frozen=True)
@@ -18,7 +21,9 @@ class DockSettings:
         start: roughly where the robot stands, x, y and heading; None: anywhere in the area.
         area: x_min, x_max, y_min, y_max that the robot must not leave; None: the scene's bounds.
         largest_step, largest_turn: of one movement.
-        least_distance: of the robot's middle from the scene's surface.
+        robot_radius: of the circle that the robot fills on the floor; 0: not known.
+        least_distance: of the robot's middle from the scene's surface; None: the robot's radius and
+            ``MARGIN``, or ``USUAL_DISTANCE`` where no radius is known.
         staging_distance: the staging pose is this far straight behind the goal.
         max_steps, max_seconds: after so many movements, or so much time, it gives up.
         max_search: so many steps it looks round before it is lost.
@@ -36,7 +41,8 @@ class DockSettings:
     area: tuple[float, float, float, float] | None = None
     largest_step: float = 0.4
     largest_turn: float = math.radians(40.0)
-    least_distance: float = 0.5
+    robot_radius: float = 0.0
+    least_distance: float | None = None
     staging_distance: float = 0.8
     max_steps: int = 120
     max_seconds: float = 1800.0
@@ -54,7 +60,8 @@ class DockSettings:
             raise OptionError(f"start {self.start} is not finite")
         _within("largest step", self.largest_step, 0.01, 10.0)
         _within("largest turn", self.largest_turn, math.radians(1.0), math.pi)
-        _within("least distance", self.least_distance, 0.0, 100.0)
+        _within("robot radius", self.robot_radius, 0.0, 100.0)
+        _within("least distance", self.distance_kept, self.robot_radius, 100.0)
         _within("staging distance", self.staging_distance, 0.1, 100.0)
         _within("number of steps", self.max_steps, 1, 100_000)
         _within("number of seconds", self.max_seconds, 0.1, 1e7)
@@ -64,6 +71,13 @@ class DockSettings:
         _within("heading tolerance", self.heading_tolerance, 1e-4, math.pi)
         _within("position bound", self.position_bound, self.position_tolerance, 10.0)
         _within("heading bound", self.heading_bound, self.heading_tolerance, math.pi)
+
+    @property
+    def distance_kept(self) -> float:
+        """Metres at least between the robot's middle and the scene's surface."""
+        if self.least_distance is not None:
+            return self.least_distance
+        return self.robot_radius + MARGIN if self.robot_radius > 0.0 else USUAL_DISTANCE
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON types."""

@@ -66,6 +66,10 @@ class Smoother:
             self._track, self._last = None, None
             return fix
         self._learn(fix.state, measured)
+        if not fix.is_aligned:
+            # Far from the goal the filter's estimate will do; it must not weigh on better ones.
+            self._track, self._last = None, fix.state
+            return fix
         track = self._updated(fix, measured)
         self._track, self._last = track, fix.state
         return replace(fix, state=track.state, covariance=track.covariance)

@@ -54,6 +54,7 @@ class DockSummary:
 
     path: Path
     docking: Docking
+    note: str = ""
 
     @property
     def exit_code(self) -> int:
@@ -87,6 +88,8 @@ class DockSummary:
                 f"robot {shares['robot']:.0%}, filter {shares['filter']:.0%}, rest {rest:.0%}",
             ),
         ]
+        if self.note:
+            rows.append(("robot", self.note))
         if self.true_error is not None:
             metres, radians = self.true_error
             text = f"{100.0 * metres:.1f} cm, {math.degrees(radians):.2f} deg"
@@ -110,6 +113,7 @@ class DockSummary:
             },
             "steps": len(docking.entries),
             "attempts": docking.attempts,
+            "robot": self.note,
             "seconds": docking.seconds,
             "true_error": None
             if error is None
@@ -192,7 +196,7 @@ def dock_robot(
     elif docking.outcome.ending is Ending.ROBOT_FAILED:
         # Not a single image: there is nothing that a run could hold.
         raise OptionError(f"{docking.outcome.reason}; no run was written")
-    return DockSummary(output, docking)
+    return DockSummary(output, docking, robot.note)
 
 
 def dry_run(
@@ -219,6 +223,8 @@ def dry_run(
         f"{math.degrees(measured.turn):.3f} deg",
         "seconds for these": f"{robot.seconds:.3f}",
     }
+    if robot.note:
+        facts = {"camera images": robot.note, **facts}
     return DryRunSummary(robot_name, robot, facts)
 
 

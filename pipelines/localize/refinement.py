@@ -16,13 +16,14 @@ them as independent would claim a precision that is not there.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray
 from pipelines.geometry.camera import Intrinsics
 from pipelines.lightfield.comparison import LARGEST_GAIN, prepared
-from pipelines.lightfield.renderer import Renderer, RenderingWithSurface
+from pipelines.lightfield.renderer import RenderingWithSurface
 from pipelines.localize.alignment_kernels import (
     fitted_brightness,
     normal_equations,
@@ -42,6 +43,15 @@ LARGEST_STEP_METRES, LARGEST_STEP_RADIANS = 0.3, math.radians(8.0)
 STEP_PIXELS = 0.1
 TILES_ACROSS = 8
 FIRST_DAMPING, DAMPING_FACTOR, LARGEST_DAMPING = 1e-3, 8.0, 10.0
+
+
+class SurfaceRenderer(Protocol):
+    """Renders views with their surface: ``lightfield.renderer.Renderer``, or one on top of it."""
+
+    def render_with_surface(
+        self, world_from_camera: FloatArray, intrinsics: Intrinsics
+    ) -> RenderingWithSurface:
+        """See ``Renderer.render_with_surface``."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +96,7 @@ class _Look:
 class _Level:
     """One image size of an alignment, and what does not change on it."""
 
-    renderer: Renderer
+    renderer: SurfaceRenderer
     space: StateSpace
     body_from_camera: FloatArray
     intrinsics: Intrinsics
@@ -156,7 +166,7 @@ def _unknowns(space: StateSpace) -> tuple[FloatArray, BoolArray]:
 
 
 def refine(
-    renderer: Renderer,
+    renderer: SurfaceRenderer,
     space: StateSpace,
     state: FloatArray,
     body_from_camera: FloatArray,

@@ -22,6 +22,7 @@ class ReconstructSettings:
         scale: metres a unit of the model, for structure from motion without odometry.
         seed: of all random choices of structure from motion.
         max_features: features an image.
+        planar: structure from motion of a robot's camera: adjusted with poses on the floor.
         max_size: pixels; features are sought in images reduced to this longer side.
 
     Raises:
@@ -35,6 +36,7 @@ class ReconstructSettings:
     seed: int = 0
     max_features: int = 4096
     max_size: int = 960
+    planar: bool = False
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -49,6 +51,8 @@ class ReconstructSettings:
             raise OptionError(f"--scale goes with --method sfm, not with {self.method}")
         if self.scale is not None and not (math.isfinite(self.scale) and self.scale > 0.0):
             raise OptionError(f"--scale {self.scale:g} is not a positive number")
+        if self.planar and self.method != "sfm":
+            raise OptionError(f"--planar goes with --method sfm, not with {self.method}")
         if not 0 <= self.seed < 2**31:
             raise OptionError(f"--seed {self.seed} is not in 0 to {2**31 - 1}")
         if not 64 <= self.max_features <= 65536:
@@ -69,4 +73,5 @@ class ReconstructSettings:
             "seed": self.seed,
             "max_features": self.max_features,
             "max_size": self.max_size,
+            "planar": self.planar,
         }

@@ -14,7 +14,7 @@ from pipelines.artifacts.progress import Progress
 from pipelines.artifacts.provenance import provenance, sha256_of_bytes, sha256_of_file
 from pipelines.dataset.dataset import Dataset, load_dataset
 from pipelines.dataset.images import decode_image
-from pipelines.geometry.pose import inverse
+from pipelines.geometry.pose import inverse, planar_state_of
 from pipelines.reconstruct.alignment import Similarity, align_by_convention, align_to_odometry
 from pipelines.reconstruct.description import ReconstructionSummary
 from pipelines.reconstruct.known_poses import (
@@ -23,6 +23,7 @@ from pipelines.reconstruct.known_poses import (
     poses_from_file,
     poses_from_odometry,
 )
+from pipelines.reconstruct.planar_adjustment import adjust_in_plane
 from pipelines.reconstruct.reconstruction import (
     DESCRIPTION_NAME,
     Reconstruction,
@@ -60,6 +61,8 @@ def reconstruct(
     data = load_dataset(dataset)
     if settings.method == "sfm":
         result = _from_images(data, settings, progress)
+        if settings.planar:
+            result = _in_plane(data, result)
     elif settings.poses is not None:
         poses = poses_from_file(data, settings.poses)
         result = _from_known_poses(data, settings, poses, "given poses", progress)
@@ -135,6 +138,21 @@ def _from_images(
         point_colors=points.colors,
         point_errors=points.errors,
     )
+
+
+def _in_plane(data: Dataset, free: Reconstruction) -> Reconstruction:
+    """The reconstruction with its poses on the floor."""
+    odometry = poses_from_odometry(data)
+    names = [data.image_names[index] for index in odometry.image_index.tolist()]
+    row_of_name = {name: row for row, name in enumerate(names)}
+    if any(name not in row_of_name for name in free.image_names):
+        raise StageError(f"{data.root}: --planar needs odometry at every image")
+    rows = [row_of_name[name] for name in free.image_names]
+    world_from_base = odometry.world_from_camera[rows] @ inverse(data.body_from_camera)
+    try:
+        return adjust_in_plane(free, planar_state_of(world_from_base)).reconstruction
+    except StageError as error:
+        raise StageError(f"{data.root}: {error}") from error
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ class RobotOptions:
 
     true_start: tuple[float, float, float] | None = None
     camera: Path | None = None
-    camera_width: int = 160
+    camera_width: int = 240
     motion: MotionNoise = field(default_factory=MotionNoise)
     sensor: SensorNoise = field(default_factory=SensorNoise)
     tracing: PathTracing = field(default_factory=PathTracing)

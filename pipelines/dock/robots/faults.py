@@ -31,6 +31,7 @@ class FaultyRobot:
             raise OptionError(f"a fault at step {step} is not possible")
         self.camera = robot.camera
         self.base_from_camera = robot.base_from_camera
+        self.note = str(getattr(robot, "note", ""))
         self.is_stopped = False
         self._robot, self._kind, self._step = robot, kind, step
         self._moves = 0
