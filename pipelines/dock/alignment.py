@@ -31,6 +31,8 @@ from pipelines.localize.state_space import PLANAR
 
 # Photos are kept, and the camera's image compared, at so many pixels across.
 PHOTO_SIDE, FINEST_WIDTH = 640, 320
+# In narrower images a neighbourhood spans too much: brightness itself is compared there.
+LEAST_CONTRAST_WIDTH = 100
 # The flattest direction is searched so far to either side, in such steps, metres.
 SEARCHED, SEARCH_STEP = 0.12, 0.01
 # So many of the minima found there are followed up.
@@ -101,15 +103,17 @@ class FineAlignment:
 
     def _found(self, start: FloatArray, images: Sequence[Observation]) -> Refined:
         """Where an image was taken, from coarse to fine."""
+        if self._widths[-1] < LEAST_CONTRAST_WIDTH:
+            return refine(self._renderer, PLANAR, start, self._base_from_camera, images[-2:])
         coarse = refine(self._renderer, PLANAR, start, self._base_from_camera, images[:-1])
         if not math.isfinite(coarse.error):
             return coarse
-        *_, middle, finest = (contrast_of(image) for image in images)
+        contrasts = [contrast_of(image) for image in images[-2:]]
         ends = [
-            refine(self._contrasts, PLANAR, state, self._base_from_camera, (middle, finest))
-            for state in self._minima(coarse, middle)
+            refine(self._contrasts, PLANAR, state, self._base_from_camera, contrasts)
+            for state in self._minima(coarse, contrasts[0])
         ]
-        return max(ends, key=lambda end: self._correlation(end.state, finest))
+        return max(ends, key=lambda end: self._correlation(end.state, contrasts[-1]))
 
     def _minima(self, coarse: Refined, image: Observation) -> list[FloatArray]:
         """States ``(3,)`` along the flattest direction where contrasts fit best, the best first."""
