@@ -63,7 +63,7 @@ class Fixed:
 def test_the_same_picture_correlates_whatever_its_brightness() -> None:
     image = picture()
     view = ContrastRenderer(Fixed(image)).render_with_surface(np.eye(4), PINHOLE)
-    brighter = contrast_of(Observation(1.3 * image + 10.0, PINHOLE))
+    brighter = contrast_of(Observation((1.3 * image + 10.0).astype(np.float32), PINHOLE))
     other = contrast_of(Observation(picture(1), PINHOLE))
     assert correlation(view, brighter) > 0.9
     assert abs(correlation(view, other)) < 0.2

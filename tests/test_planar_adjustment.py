@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from reconstruct_samples import small_reconstruction
 from scipy.spatial.transform import Rotation
 
 from pipelines.artifacts.array_types import FloatArray
@@ -20,6 +19,7 @@ from pipelines.geometry.pose import (
 from pipelines.reconstruct.planar_adjustment import adjust_in_plane
 from pipelines.reconstruct.reconstruction import Reconstruction
 from pipelines.reconstruct.settings import ReconstructSettings
+from tests.reconstruct_samples import small_reconstruction
 
 CAMERA = Camera("OPENCV", 640, 480, (577.0, 577.0, 319.5, 239.5, 0.02, -0.03, 0.001, -0.001))
 MOUNT = base_from_camera_mount((0.1, 0.02, 1.0), (0.0, -4.0, 3.0))
