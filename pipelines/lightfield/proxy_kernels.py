@@ -3,7 +3,7 @@
 import numpy as np
 
 from pipelines.artifacts.array_types import Float32Array, FloatArray, IntArray
-from pipelines.lightfield.compiled import compiled
+from pipelines.lightfield.compiled import compiled, compiled_loop
 from pipelines.lightfield.proxy import (
     EDGE_FACTOR,
     LARGEST_GAP_SHARE,
@@ -119,19 +119,33 @@ def depth_surface(
 @compiled
 def _without_pinholes(mesh: FloatArray) -> FloatArray:
     """Empties corners that show the background through gaps between foreground points."""
-    result = mesh.copy()
     height, width = mesh.shape
+    padded = np.zeros((height + 2, width + 2))
+    padded[1:-1, 1:-1] = mesh
+    result = np.empty_like(mesh)
     for row in range(height):
-        for column in range(width):
-            limit = PINHOLE_FACTOR * mesh[row, column]
-            nearer = 0
-            for i in range(max(row - 1, 0), min(row + 2, height)):
-                for j in range(max(column - 1, 0), min(column + 2, width)):
-                    if mesh[i, j] > limit and (i != row or j != column):
-                        nearer += 1
-            if nearer >= PINHOLE_NEIGHBOURS:
-                result[row, column] = 0.0
+        _keep_solid(padded[row], padded[row + 1], padded[row + 2], result[row])
     return result
+
+
+@compiled_loop
+def _keep_solid(above: FloatArray, own: FloatArray, below: FloatArray, result: FloatArray) -> None:
+    """Writes a row (w,) without its pinholes.
+
+    Args:
+        above: (w + 2,) the row above, with a 0 at both ends; so are the next two.
+        own: the row.
+        below: the row below.
+        result: receives the row.
+    """
+    for i in range(len(result)):
+        limit = PINHOLE_FACTOR * own[i + 1]
+        nearer = 1.0 if own[i] > limit else 0.0
+        nearer += 1.0 if own[i + 2] > limit else 0.0
+        for column in range(3):
+            nearer += 1.0 if above[i + column] > limit else 0.0
+            nearer += 1.0 if below[i + column] > limit else 0.0
+        result[i] = 0.0 if nearer >= PINHOLE_NEIGHBOURS else own[i + 1]
 
 
 @compiled
@@ -172,6 +186,10 @@ def _closed(mesh: FloatArray) -> FloatArray:
 @compiled
 def _interpolate(mesh: FloatArray, spacing: float, surface: Float32Array) -> None:
     """Bilinear between corners of one surface; across an edge, or a gap, the nearest corner."""
+    lefts, shares = np.empty(surface.shape[1], np.int64), np.empty(surface.shape[1])
+    for column in range(surface.shape[1]):
+        lefts[column] = min(int(column / spacing), mesh.shape[1] - 1)
+        shares[column] = column / spacing - lefts[column]
     a, b, c, d = 0.0, 0.0, 0.0, 0.0
     is_smooth = False
     for row in range(surface.shape[0]):
@@ -181,8 +199,7 @@ def _interpolate(mesh: FloatArray, spacing: float, surface: Float32Array) -> Non
         fy = y - top
         cell = -1
         for column in range(surface.shape[1]):
-            x = column / spacing
-            left = min(int(x), mesh.shape[1] - 1)
+            left, fx = lefts[column], shares[column]
             if left != cell:
                 cell = left
                 right = min(left + 1, mesh.shape[1] - 1)
@@ -190,7 +207,6 @@ def _interpolate(mesh: FloatArray, spacing: float, surface: Float32Array) -> Non
                 c, d = mesh[bottom, left], mesh[bottom, right]
                 lowest = min(a, b, c, d)
                 is_smooth = lowest > 0.0 and max(a, b, c, d) <= EDGE_FACTOR * lowest
-            fx = x - left
             if is_smooth:
                 surface[row, column] = (a * (1 - fx) + b * fx) * (1 - fy) + (
                     c * (1 - fx) + d * fx

@@ -57,13 +57,14 @@ def splat(
         for first in range(0, samples, TOGETHER):
             count = min(TOGETHER, samples - first)
             place = start + row * width + first * stride
-            for i in range(count):
-                scratch[i] = views.inverse_depth[place + i * stride]
+            for i in range(np.uintp(count)):
+                scratch[i] = views.inverse_depth[np.uintp(place) + i * np.uintp(stride)]
             x = (first * stride + 0.5) * scale_x - 0.5
             step = stride * scale_x
             _place(scratch, cells, count, numbers, x, step, y, spacing, len(mesh), mesh.shape[1])
-            for i in range(count):
-                corners[cells[i]] = max(corners[cells[i]], scratch[i])
+            for i in range(np.uintp(count)):
+                cell = np.uintp(cells[i])
+                corners[cell] = max(corners[cell], scratch[i])
 
 
 @compiled_loop
@@ -94,19 +95,22 @@ def _place(
         height: rows of the mesh.
         columns: of the mesh, with the one for what lies outside.
     """
-    t0, t1, t2, t3, t4 = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
-    t5, t6, t7, t8 = numbers[5], numbers[6], numbers[7], numbers[8]
-    s0, s1, s2 = numbers[9], numbers[10], numbers[11]
+    # Columns and rows of the mesh.
+    t0, t1, t2 = numbers[0] / spacing, numbers[1] / spacing, numbers[2] / spacing
+    t3, t4, t5 = numbers[3] / spacing, numbers[4] / spacing, numbers[5] / spacing
+    t6, t7, t8 = numbers[6], numbers[7], numbers[8]
+    s0, s1, s2 = numbers[9] / spacing, numbers[10] / spacing, numbers[11]
     right, bottom = np.float64(columns - 1), np.float64(height)
     outside, row_length = np.int32(columns - 1), np.int32(columns)
     for i in range(count):
         value = scratch[i]
         x = first_x + step_x * i
         depth = t6 * x + t7 * y + t8 + value * s2
-        u = (t0 * x + t1 * y + t2 + value * s0) / depth / spacing + 0.5
-        v = (t3 * x + t4 * y + t5 + value * s1) / depth / spacing + 0.5
+        reciprocal = 1.0 / depth
+        u = (t0 * x + t1 * y + t2 + value * s0) * reciprocal + 0.5
+        v = (t3 * x + t4 * y + t5 + value * s1) * reciprocal + 0.5
         is_inside = (value > 0.0) & (depth > SMALLEST_DEPTH)
         is_inside &= (u >= 0.0) & (u < right) & (v >= 0.0) & (v < bottom)
         column, row = np.int32(u if is_inside else 0.0), np.int32(v if is_inside else 0.0)
         cells[i] = row * row_length + column if is_inside else outside
-        scratch[i] = value / depth if is_inside else 0.0
+        scratch[i] = value * reciprocal if is_inside else 0.0
