@@ -92,8 +92,9 @@ def build_index(
     poses = space.poses(states) @ body_from_camera
     images, covered = renderer.render_many(poses, intrinsics)
     order, starts = _tiles(intrinsics)
-    flat = images.reshape(len(states), -1, 3)[:, order]
-    seen = covered.reshape(len(states), -1)[:, order].astype(np.float32)
+    # np.take leaves the states in their place in memory, indexing would not.
+    flat = np.take(images.reshape(len(states), -1, 3), order, axis=1)
+    seen = np.take(covered.reshape(len(states), -1), order, axis=1).astype(np.float32)
     return AppearanceIndex(states, flat.reshape(len(states), -1), seen, order, starts)
 
 
