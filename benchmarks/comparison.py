@@ -25,7 +25,7 @@ from pipelines.lightfield.scene import Scene
 
 # Width and height of the virtual images -> particles; fewer where each takes longer.
 PARTICLES = {(40, 30): 195, (80, 60): 195, (160, 120): 64}
-TURNS = 9
+TURNS = 7
 REFERENCE_PARTICLES = 3
 OPENCV = {3: "OpenCV, RGB", 4: "OpenCV, RGB and a fourth channel"}
 TORCH = "PyTorch grid_sample"

@@ -1,6 +1,7 @@
 """All measurements: ``make bench`` prints Markdown tables and writes ``results.json``."""
 
 import json
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -26,19 +27,19 @@ from pipelines.lightfield.scene import Scene
 RESULTS = ROOT / "benchmarks" / "results.json"
 
 
-def measurements(workshop: Scene, lobby: Scene) -> tuple[Callable[[], dict[str, Any]], ...]:
+def measurements(workshop: Scene, lobby: Scene) -> dict[str, Callable[[], dict[str, Any]]]:
     """All that is measured; each gives some keys of the results."""
-    return (
-        lambda: comparison.measure(workshop),
-        lambda: scoring.measure(lobby),
-        lambda: tracking.measure(lobby),
-        lambda: rendering.measure(workshop),
-        lambda: opening.measure(workshop),
-        depth.measure,
-        lambda: cold_start.measure(lobby),
-        lambda: memory.measure(workshop, lobby),
-        lambda: gpu.measure(workshop),
-    )
+    return {
+        "comparison": lambda: comparison.measure(workshop),
+        "particles": lambda: scoring.measure(lobby),
+        "frames": lambda: tracking.measure(lobby),
+        "rendering": lambda: rendering.measure(workshop),
+        "opening": lambda: opening.measure(workshop),
+        "depth maps": depth.measure,
+        "cold start": lambda: cold_start.measure(lobby),
+        "memory": lambda: memory.measure(workshop, lobby),
+        "graphics card": lambda: gpu.measure(workshop),
+    }
 
 
 def tables(results: dict[str, Any]) -> str:
@@ -70,7 +71,8 @@ def main() -> None:
     """Measures, prints, and writes ``results.json``."""
     cv2.setNumThreads(1)
     results: dict[str, Any] = {"machine": machine()}
-    for measure in measurements(workshop_scene(), elevators_scene()):
+    for name, measure in measurements(workshop_scene(), elevators_scene()).items():
+        print(f"measuring: {name}", file=sys.stderr)
         results.update(measure())
     write_text(RESULTS, json.dumps(results, indent=2) + "\n", overwrite=True)
     print(tables(results))

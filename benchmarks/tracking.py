@@ -1,8 +1,8 @@
 """Whole frames of ``localize``: the search over the model's area, and tracking after it.
 
 Frames of the lobby's test drive go through ``Localizer.step`` with the default settings and the
-wheels' odometry, as in ``make demo``; once with the alignment that refines the estimate, once
-without it. Reading an image file is not part of it.
+wheels' odometry, as in ``make demo``, on the CPU; once with the alignment that refines the
+estimate, once without it. Reading an image file is not part of it.
 """
 
 import statistics
@@ -15,14 +15,15 @@ import numpy as np
 from benchmarks.scenes import ELEVATORS
 from benchmarks.timing import Timing, markdown_table, medians
 from pipelines.dataset.dataset import ODOMETRY_FILE, Dataset, load_dataset, poses_at_images
+from pipelines.lightfield.devices import Device
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.localizer import Localizer
 from pipelines.localize.settings import LocalizerSettings
 
 DRIVES = 3
 SETTINGS = {
-    "tracking": LocalizerSettings(refine_width=0),
-    "tracking_refined": LocalizerSettings(),
+    "tracking": LocalizerSettings(refine_width=0, device=Device.CPU),
+    "tracking_refined": LocalizerSettings(device=Device.CPU),
 }
 
 
