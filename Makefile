@@ -39,7 +39,7 @@ help:
 	@echo "make experiments  many seeds and settings -> out/experiments/*/table.md; makes only what is missing"
 	@echo "make test         the test suite; 'make test-slow' runs the slow tests"
 	@echo "make lint         ruff and mypy"
-	@echo "make bench        measures rendering, depth, opening, memory, the graphics card"
+	@echo "make bench        measures particles, frames, views, starting, memory, the graphics card"
 	@echo "make clean        removes out/ and caches; $(VENV) stays"
 
 # ---------------------------------------------------------------------------- installation

@@ -1,6 +1,7 @@
 """How long the depth map of one view takes, its share of the fusion included."""
 
 import tempfile
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,30 +23,34 @@ VIEWS = 9
 TURNS = 3
 
 
-def measure() -> dict[str, Any]:
-    """Seconds a view at the usual resolution, on all processors."""
-    settings = DepthSettings()
+def depth_of_some_views(views: int, settings: DepthSettings) -> Callable[[], object]:
+    """Computes the depth maps of the first photos of the workshop."""
     with tempfile.TemporaryDirectory() as folder:
         whole = workshop_reconstruction(Path(folder) / "reconstruction")
-        source = with_images(whole, np.arange(VIEWS))
+        source = with_images(whole, np.arange(views))
         undistorters = [Undistorter(camera) for camera in source.cameras]
         chosen = [undistorters[int(index)] for index in source.camera_index]
         photos = [
             undistorter(decode_image(read_image_bytes(source.image_root / name), name))
             for undistorter, name in zip(chosen, source.image_names, strict=True)
         ]
-        task = partial(
-            depth_from_photos,
-            source,
-            photos,
-            [undistorter.intrinsics for undistorter in chosen],
-            plane_from_coefficients(WALL),
-            settings,
-            None,
-            no_progress,
-        )
-        label = f"a view at {settings.largest_side} px"
-        times = median_times({label: task}, TURNS)
+    return partial(
+        depth_from_photos,
+        source,
+        photos,
+        [undistorter.intrinsics for undistorter in chosen],
+        plane_from_coefficients(WALL),
+        settings,
+        None,
+        no_progress,
+    )
+
+
+def measure() -> dict[str, Any]:
+    """Seconds a view at the usual resolution, on all processors."""
+    settings = DepthSettings()
+    label = f"a view at {settings.largest_side} px"
+    times = median_times({label: depth_of_some_views(VIEWS, settings)}, TURNS)
     return {
         "depth": {
             "views": VIEWS,

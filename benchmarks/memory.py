@@ -1,4 +1,4 @@
-"""Peak memory of building, opening and rendering a scene model, each in a process of its own.
+"""Peak memory of building, opening, rendering and scoring, each in a process of its own.
 
 A process starts with what Python and the libraries take ("nothing"); Linux only, since it is the
 kernel's own record of the largest resident set (``VmHWM``).
@@ -19,22 +19,24 @@ from benchmarks.scenes import (
     repeated,
     with_wall_as_depth,
     workshop_reconstruction,
-    workshop_scene,
 )
+from benchmarks.scoring import WIDTHS, comparison_of, observations, states_around
 from benchmarks.timing import markdown_table
 from pipelines.artifacts.progress import no_progress
 from pipelines.lightfield.bundle import load_scene, save_scene
 from pipelines.lightfield.proxy import Quality
 from pipelines.lightfield.renderer import Renderer
+from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.size_budget import LOCALIZE_SIDE
 from pipelines.lightfield.stage import ModelSettings, build_scene
 from pipelines.lightfield.views import views_of_scene
 from pipelines.reconstruct.reconstruction import load_reconstruction, with_images
 
-RECONSTRUCTION, MANY, DEEP = "reconstruction", "many.h5", "deep.h5"
+RECONSTRUCTION, MANY, DEEP, LOBBY = "reconstruction", "many.h5", "deep.h5", "lobby.h5"
 MANY_VIEWS = 100
 # Peak memory grows little with more: as many are worked on at a time as there are processors.
 DEPTH_VIEWS = 9
+PARTICLES, MANY_PARTICLES = 195, 100_000
 
 
 def _nothing(folder: Path) -> None:
@@ -69,6 +71,20 @@ def _render(folder: Path) -> None:
     renderer.render(scene.world_from_camera[0], scene.camera_of(0).intrinsics)
 
 
+def _score_few(folder: Path) -> None:
+    _score(folder, PARTICLES)
+
+
+def _score_many(folder: Path) -> None:
+    _score(folder, MANY_PARTICLES)
+
+
+def _score(folder: Path, count: int) -> None:
+    scene = load_scene(folder / LOBBY)
+    image = observations()[WIDTHS[0]]
+    comparison_of(scene, WIDTHS[0], threads=None).log_likelihoods(states_around(count), image)
+
+
 WORK: dict[str, Callable[[Path], None]] = {
     "nothing": _nothing,
     "build a model, 40 photos, plane from the photos": _build_plane,
@@ -77,16 +93,18 @@ WORK: dict[str, Callable[[Path], None]] = {
     f"open {MANY_VIEWS} views, with views of {LOCALIZE_SIDE} px": _open_small,
     f"open {MANY_VIEWS} views, with views of full size": _open_full,
     "open 40 views with depth maps and render one of 640x480, fine": _render,
+    f"score {PARTICLES} particles": _score_few,
+    f"score {MANY_PARTICLES} particles": _score_many,
 }
 
 
-def measure() -> dict[str, Any]:
+def measure(scene: Scene, lobby: Scene) -> dict[str, Any]:
     """Bytes; plain JSON types."""
-    scene = workshop_scene()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         workshop_reconstruction(folder / RECONSTRUCTION)
         save_scene(folder / MANY, repeated(scene, MANY_VIEWS), overwrite=False)
+        save_scene(folder / LOBBY, lobby, overwrite=False)
         save_scene(folder / DEEP, with_wall_as_depth(scene), overwrite=False)
         return {"peak_memory_bytes": {work: peak_of(work, folder) for work in WORK}}
 

@@ -4,17 +4,14 @@ Opening is ``load_scene``: all bytes are read, checksums and hash verified, ever
 localization does next, building views of 160 pixels, decodes every photo, and is timed apart.
 """
 
-import statistics
-import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
-from resource import RUSAGE_CHILDREN, getrusage
 from typing import Any
 
+from benchmarks.processes import process_times
 from benchmarks.scenes import repeated
-from benchmarks.timing import Timing, median_times, timing_table
+from benchmarks.timing import Timing, median_times, medians, timing_table
 from pipelines.lightfield.bundle import load_scene, save_scene
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.size_budget import LOCALIZE_SIDE
@@ -52,15 +49,9 @@ def measure(scene: Scene) -> dict[str, Any]:
 
 def help_time() -> Timing:
     """Median times of ``lfnav --help`` in a process of its own."""
-    cpu, wall = [], []
-    for _ in range(TURNS + 1):
-        before, start = getrusage(RUSAGE_CHILDREN), time.perf_counter()
-        command = [sys.executable, "-m", "lfnav_cli.main", "--help"]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-        wall.append(time.perf_counter() - start)
-        after = getrusage(RUSAGE_CHILDREN)
-        cpu.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
-    return Timing(statistics.median(cpu[1:]), statistics.median(wall[1:]))
+    command = [sys.executable, "-m", "lfnav_cli.main", "--help"]
+    process_times(command, turns=1)
+    return medians(process_times(command, TURNS))
 
 
 def table(results: dict[str, Any]) -> str:

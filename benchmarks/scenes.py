@@ -16,6 +16,7 @@ from pipelines.reconstruct.stage import ReconstructSettings, reconstruct
 
 ROOT = Path(__file__).resolve().parents[1]
 WORKSHOP = ROOT / "sample_data" / "workshop" / "map"
+ELEVATORS = ROOT / "sample_data" / "elevators"
 WALL = (0.0, -1.0, 0.0, 0.0)
 DEPTH_WIDTH = 480
 
@@ -32,6 +33,15 @@ def workshop_scene() -> Scene:
     with tempfile.TemporaryDirectory() as folder:
         source = workshop_reconstruction(Path(folder) / "reconstruction")
         return build_scene(source, ModelSettings(plane=WALL), no_progress)
+
+
+def elevators_scene() -> Scene:
+    """The lobby as ``make demo`` maps it: poses from the wheels, the plane found in the photos."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name) / "reconstruction"
+        settings = ReconstructSettings("odometry")
+        reconstruct(ELEVATORS / "map", folder, settings, overwrite=False, progress=no_progress)
+        return build_scene(load_reconstruction(folder), ModelSettings(), no_progress)
 
 
 def part_of(scene: Scene, indices: tuple[int, ...]) -> Scene:

@@ -4,12 +4,14 @@ What is compared takes turns (A B A B ...), so that a busy machine slows all ali
 in which compiled functions are loaded, does not count.
 """
 
+import contextlib
+import os
 import platform
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 
@@ -29,20 +31,27 @@ class Timing:
         return {"cpu_s": round(self.cpu, 5), "wall_s": round(self.wall, 5)}
 
 
-def median_times(tasks: Mapping[str, Callable[[], object]], turns: int) -> dict[str, Timing]:
-    """Median times of each task; they take turns, after one turn that does not count."""
-    cpu: dict[str, list[float]] = {name: [] for name in tasks}
-    wall: dict[str, list[float]] = {name: [] for name in tasks}
-    for turn in range(turns + 1):
+def medians(times: Sequence[Timing]) -> Timing:
+    """Medians of CPU and of wall time."""
+    return Timing(
+        statistics.median(each.cpu for each in times),
+        statistics.median(each.wall for each in times),
+    )
+
+
+def median_times(
+    tasks: Mapping[str, Callable[[], object]], turns: int, rehearsals: int = 1
+) -> dict[str, Timing]:
+    """Median times of each task; they take turns, after some turns that do not count."""
+    spent: dict[str, list[Timing]] = {name: [] for name in tasks}
+    for turn in range(rehearsals + turns):
         for name, task in tasks.items():
-            start_cpu, start_wall = time.process_time(), time.perf_counter()
+            start = Timing(time.process_time(), time.perf_counter())
             task()
-            if turn > 0:
-                cpu[name].append(time.process_time() - start_cpu)
-                wall[name].append(time.perf_counter() - start_wall)
-    return {
-        name: Timing(statistics.median(cpu[name]), statistics.median(wall[name])) for name in tasks
-    }
+            end = Timing(time.process_time(), time.perf_counter())
+            if turn >= rehearsals:
+                spent[name].append(Timing(end.cpu - start.cpu, end.wall - start.wall))
+    return {name: medians(times) for name, times in spent.items()}
 
 
 def machine() -> dict[str, str]:
@@ -52,9 +61,18 @@ def machine() -> dict[str, str]:
     if information.is_file():
         lines = information.read_text(encoding="utf-8").splitlines()
         cpu = next((line.split(":")[1].strip() for line in lines if "model name" in line), cpu)
-    packages = ("lfnav", "numpy", "numba", "opencv-python-headless")
-    versions = {name: version(name) for name in packages}
-    return {"cpu": cpu, "python": platform.python_version(), **versions}
+    processors = str(len(os.sched_getaffinity(0)))
+    python = platform.python_version()
+    return {"cpu": cpu, "processors": processors, "python": python, **_versions()}
+
+
+def _versions() -> dict[str, str]:
+    """Of the packages that matter, where they are installed."""
+    found = {}
+    for name in ("lfnav", "numpy", "numba", "llvmlite", "scipy", "opencv-python-headless", "torch"):
+        with contextlib.suppress(PackageNotFoundError):
+            found[name] = version(name)
+    return found
 
 
 def markdown_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -1,5 +1,6 @@
-"""The benchmark compares like with like: OpenCV computes the same images and costs."""
+"""The benchmark compares like with like: all ways compute the same images and costs."""
 
+import json
 import subprocess
 import sys
 from dataclasses import replace
@@ -9,20 +10,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from benchmarks import cold_start, run, scoring, tracking
 from benchmarks import gpu as gpu_benchmark
 from benchmarks.comparison import (
+    LIMIT,
     OPENCV,
-    Work,
+    fused,
     fused_costs,
-    opencv_costs,
-    opencv_image,
-    opencv_work,
+    nanoseconds_per_sample,
     ratios,
     table,
-    work_of,
+    times_limit,
 )
+from benchmarks.limit import limit_image, limit_work
+from benchmarks.opencv_path import opencv_costs, opencv_image, opencv_work
 from benchmarks.scenes import ROOT, repeated, with_wall_as_depth, workshop_scene
-from benchmarks.timing import Timing, median_times, timing_table
+from benchmarks.timing import Timing, machine, median_times, timing_table
+from benchmarks.torch_path import is_installed, torch_costs, torch_work
+from benchmarks.work import Work, net_weights, work_of
+from pipelines.dataset.dataset import load_dataset
 from pipelines.geometry.plane import plane_from_coefficients
 from pipelines.lightfield.blending import Blending
 from pipelines.lightfield.bundle import load_scene, save_scene
@@ -47,42 +53,126 @@ def renderer_of(work: Work, blending: Blending) -> Renderer:
     return Renderer(work.views, work.scene.plane, blending, threads=1)
 
 
-def test_opencv_computes_the_images_of_the_net(work: Work) -> None:
-    prepared, renderer = opencv_work(work), renderer_of(work, Blending.DELAUNAY)
+@pytest.mark.parametrize("channels", OPENCV)
+def test_opencv_computes_the_images_of_the_net(work: Work, channels: int) -> None:
+    prepared, renderer = opencv_work(work, channels), renderer_of(work, Blending.DELAUNAY)
+    warped, image = np.empty_like(prepared.query), np.empty_like(prepared.query)
     for particle, pose in enumerate(work.poses):
         rendering = renderer.render(pose, work.intrinsics)
         assert rendering.coverage == 1.0
-        difference = np.abs(opencv_image(prepared, particle) - rendering.image)
+        opencv_image(prepared, particle, warped, image)
+        difference = np.abs(image[..., :3] - rendering.image)
         # Positions are rounded to 1/32 pixel there, grey levels to whole numbers here.
         assert difference.max() < 3.0
         assert difference.mean() < 1.0
 
 
-def test_opencv_computes_the_costs(work: Work) -> None:
+@pytest.mark.parametrize("channels", OPENCV)
+def test_opencv_computes_the_costs(work: Work, channels: int) -> None:
     costs = fused_costs(renderer_of(work, Blending.DELAUNAY), work)
-    np.testing.assert_allclose(opencv_costs(opencv_work(work)), costs, atol=2e-4)
+    np.testing.assert_allclose(opencv_costs(opencv_work(work, channels)), costs, atol=2e-4)
     assert costs.max() > 0.005
     assert costs[0] < 1e-4
 
 
+@pytest.mark.skipif(not is_installed(), reason="PyTorch is not installed")
+def test_torch_computes_the_costs(work: Work) -> None:
+    costs = fused_costs(renderer_of(work, Blending.DELAUNAY), work)
+    np.testing.assert_allclose(torch_costs(torch_work(work)), costs, atol=1e-6, rtol=1e-4)
+
+
+def test_the_limit_computes_the_same_image(work: Work) -> None:
+    """Nothing that counts is left out: only what was given beforehand."""
+    rendering = renderer_of(work, Blending.DELAUNAY).render_with_surface(
+        work.poses[0], work.intrinsics
+    )
+    for times in (1, 3):
+        image = limit_image(limit_work(work), times).reshape(30, 40, 4)
+        np.testing.assert_allclose(image[..., :3], rendering.image, atol=0.02)
+        np.testing.assert_allclose(image[..., 3], 255.0, atol=0.01)
+
+
 def test_three_views_are_blended_at_every_pixel(work: Work) -> None:
-    weights = opencv_work(work).weights
-    assert weights.min() > 0.0
-    np.testing.assert_allclose(weights.sum(axis=1), 1.0, atol=1e-5)
+    for pose in work.poses:
+        weights = net_weights(work, pose)
+        assert weights.min() > 0.0
+        np.testing.assert_allclose(weights.sum(axis=0), 1.0, atol=1e-5)
     # As large as the virtual pixels: neither finer nor coarser photos are read.
     assert np.all(work.views.arrays.level_size[:, 0] == [80, 60])
 
 
-def test_the_table_shows_times_and_how_many_times_as_fast() -> None:
-    row = {OPENCV: 200.0, "fused, delaunay, 3 views": 100.0, "fused, unstructured, 3 views": 400.0}
+def test_the_table_shows_times_ratios_and_limits() -> None:
+    delaunay, unstructured = fused(Blending.DELAUNAY), fused(Blending.UNSTRUCTURED)
+    row = {delaunay: 100.0, unstructured: 400.0, OPENCV[3]: 300.0, OPENCV[4]: 200.0, LIMIT: 50.0}
     figures = {"40x30": row, "80x60": {name: 4.0 * value for name, value in row.items()}}
     assert ratios(figures, Blending.DELAUNAY) == {"40x30": 2.0, "80x60": 2.0}
     assert ratios(figures, Blending.UNSTRUCTURED) == {"40x30": 0.5, "80x60": 0.5}
+    assert times_limit(figures, Blending.DELAUNAY) == {"40x30": 2.0, "80x60": 2.0}
+    assert times_limit(figures, Blending.UNSTRUCTURED) == {"40x30": 8.0, "80x60": 8.0}
+    # 50 microseconds for three samples at each of 1200 pixels.
+    assert nanoseconds_per_sample(figures) == {"40x30": 13.889, "80x60": 13.889}
     figures["40x30"] = {**row, "once": 5000.0}
     lines = table(figures).splitlines()
     assert lines[1] == "|---|---:|---:|"
-    assert lines[3] == "| fused, delaunay, 3 views | 100 (2.00) | 400 (2.00) |"
-    assert lines[-1] == "| once | 5000 (0.04) |  |"
+    assert lines[2] == f"| {delaunay} | 100.0 (2.00; 2.0) | 400.0 (2.00; 2.0) |"
+    assert lines[-1] == "| once | 5000.0 (0.04; 100.0) |  |"
+
+
+def test_frames_are_told_apart_by_what_the_filter_calls_them() -> None:
+    def frame(status: str) -> tracking.Frame:
+        return tracking.Frame(status, Timing(0.1, 0.1), {})
+
+    drives = [[frame(status) for status in ("tracking", "global", "tracking", "lost")]]
+    # The first frame is a search, whatever comes of it.
+    assert tracking.tracked_frames(drives) == [drives[0][2]]
+
+
+def test_particles_stand_around_the_true_place() -> None:
+    states = scoring.states_around(2000)
+    test_drive = load_dataset(ROOT / "sample_data" / "elevators" / "test")
+    assert test_drive.groundtruth is not None
+    truth = test_drive.groundtruth.poses[scoring.FRAME][:2, 3]
+    np.testing.assert_allclose(states[:, :2].mean(axis=0), truth, atol=0.02)
+    np.testing.assert_allclose(states.std(axis=0), scoring.SPREAD, rtol=0.1)
+
+
+def test_the_tables_of_particles_show_what_was_measured() -> None:
+    cell = {"cpu": 20.0, "wall": 10.0}
+    results = {
+        "views_growth": {"28": 1.0},
+        "particles_growth": {"195": 1.0},
+        "scoring": {
+            "by_size": {"plane": {"40x30": cell}},
+            "by_views": {"28": cell},
+            "by_particles": {"195": cell},
+        },
+    }
+    lines = scoring.tables(results).splitlines()
+    assert "| plane | 20.0 (10.0) |" in lines
+    assert "| 28 | 20.0 (10.0) | 1.00 |" in lines
+    assert "| 195 | 20.0 (10.0) | 1.00 |" in lines
+
+
+def test_the_drive_of_one_image_ends_with_it(tmp_path: Path) -> None:
+    cold_start.drive_of_one_image(tmp_path / "drive")
+    assert len(load_dataset(tmp_path / "drive")) == 1
+
+
+def test_results_hold_what_they_promise() -> None:
+    """The file in the repository is what this code writes."""
+    results = json.loads((ROOT / "benchmarks" / "results.json").read_text(encoding="utf-8"))
+    for key in ("ratio_to_opencv", "ratio_to_opencv_unstructured", "times_limit"):
+        assert set(results[key]) == {"40x30", "80x60", "160x120"}
+        assert all(value > 0.0 for value in results[key].values())
+    assert set(results["frames_per_second"]) == {"tracking", "tracking_refined"}
+    assert results["global_start_s"] > 0.0
+    assert set(results["machine"]) >= {"cpu", "processors", "python", "numba"}
+    assert set(results["compile_cpu_s"]) == set(cold_start.WORK)
+    assert run.tables(results).count("|---|") >= 10
+
+
+def test_the_machine_is_named() -> None:
+    assert set(machine()) >= {"cpu", "processors", "python", "lfnav", "numba"}
 
 
 def test_tasks_take_turns_and_the_first_does_not_count() -> None:
@@ -90,6 +180,9 @@ def test_tasks_take_turns_and_the_first_does_not_count() -> None:
     times = median_times({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, 3)
     assert calls == ["a", "b"] * 4
     assert set(times) == {"a", "b"}
+    calls.clear()
+    median_times({"a": lambda: calls.append("a")}, 2, rehearsals=0)
+    assert calls == ["a", "a"]
     assert Timing(6.0, 3.0).of_each(3) == Timing(2.0, 1.0)
     rows = timing_table("what", {"x": Timing(0.5, 0.25).to_dict()}).splitlines()
     assert rows == ["| what | CPU (ms) | wall (ms) |", "|---|---:|---:|", "| x | 500 | 250 |"]

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from pipelines.localize.consistency import (
     Consistency,
@@ -72,3 +73,13 @@ def test_frames_until_converged_and_to_recover(
     flags = np.array([letter == "+" for letter in good], dtype=np.bool_)
     assert frames_until_converged(flags) == converged
     assert frames_to_recover(flags) == recoveries
+
+
+def test_bounds_are_those_of_the_chi_square_distribution() -> None:
+    for count, dimension in ((1, 3), (20, 3), (7, 6)):
+        errors = Consistency(np.full(count, 1.0), dimension)
+        expected = chi2.ppf([0.025, 0.975], count * dimension) / count
+        np.testing.assert_allclose(errors.bounds, expected, rtol=1e-12)
+        limit = float(chi2.ppf(0.95, dimension))
+        border = Consistency(np.array([limit - 1e-6, limit + 1e-6]), dimension)
+        assert border.in_region == 0.5

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.stats import qmc
 
 from pipelines.artifacts.array_types import Float32Array, FloatArray, IntArray
 from pipelines.geometry.camera import Intrinsics
@@ -27,6 +26,8 @@ TILES_ACROSS, TILES_DOWN = 4, 3
 WORST_TILE = 0.06
 # Around a recorded view the others are spread by so much: metres and radians.
 AROUND_POSITION, AROUND_ANGLE = 0.3, 0.2
+# Bases of the Halton sequence that covers places and headings.
+HALTON_BASES = (2, 3, 5)
 # Hypotheses nearer to each other than this are one; metres and radians.
 DISTINCT_POSITION, DISTINCT_ANGLE = 0.4, 0.2
 
@@ -91,8 +92,9 @@ def build_index(
     poses = space.poses(states) @ body_from_camera
     images, covered = renderer.render_many(poses, intrinsics)
     order, starts = _tiles(intrinsics)
-    flat = images.reshape(len(states), -1, 3)[:, order]
-    seen = covered.reshape(len(states), -1)[:, order].astype(np.float32)
+    # np.take leaves the states in their place in memory, indexing would not.
+    flat = np.take(images.reshape(len(states), -1, 3), order, axis=1)
+    seen = np.take(covered.reshape(len(states), -1), order, axis=1).astype(np.float32)
     return AppearanceIndex(states, flat.reshape(len(states), -1), seen, order, starts)
 
 
@@ -111,10 +113,20 @@ def spread_states(space: StateSpace, region: Region, count: int) -> FloatArray:
 
     A Halton sequence: more even than random numbers, and the same every time.
     """
-    places = qmc.Halton(space.dimension, scramble=False).random(count)
+    places = np.stack([_radical_inverses(count, base) for base in HALTON_BASES], axis=1)
     low = np.append(region.low, -np.pi)
     high = np.append(region.high, np.pi)
     return space.moved(low + places * (high - low), np.zeros(space.dimension))
+
+
+def _radical_inverses(count: int, base: int) -> FloatArray:
+    """``(count,)``: 0, 1, 2 ... with their digits mirrored at the point, in [0, 1)."""
+    rest, result = np.arange(count), np.zeros(count)
+    worth = 1.0 / base
+    while rest.any():
+        result += worth * (rest % base)
+        rest, worth = rest // base, worth / base
+    return result
 
 
 def states_around_views(

@@ -11,12 +11,17 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from pipelines.artifacts.array_types import BoolArray, FloatArray
 from pipelines.localize.run import Run
 
 REGION = 0.95
+
+
+def _chi_square_quantile(level: float, degrees_of_freedom: int) -> float:
+    """Below this a chi-square distributed number lies with probability ``level``."""
+    return float(2.0 * gammaincinv(0.5 * degrees_of_freedom, level))
 
 
 @dataclass(frozen=True)
@@ -34,7 +39,7 @@ class Consistency:
     @property
     def in_region(self) -> float:
         """Share of the frames with the truth inside the stated 95 % region."""
-        limit = chi2.ppf(REGION, self.degrees_of_freedom)
+        limit = _chi_square_quantile(REGION, self.degrees_of_freedom)
         return float(np.mean(self.squared_errors <= limit))
 
     @property
@@ -48,7 +53,8 @@ class Consistency:
         total = self.degrees_of_freedom * len(self.squared_errors)
         tail = 0.5 * (1.0 - REGION)
         count = len(self.squared_errors)
-        return float(chi2.ppf(tail, total)) / count, float(chi2.ppf(1.0 - tail, total)) / count
+        low, high = (_chi_square_quantile(level, total) for level in (tail, 1.0 - tail))
+        return low / count, high / count
 
     def rows(self) -> list[tuple[str, ...]]:
         """For people."""

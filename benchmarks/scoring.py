@@ -1,0 +1,169 @@
+"""What a particle costs: size of the image, surface, threads, number of views and of particles.
+
+Particles stand around the robot's true place in a frame of the lobby's test drive, as they do while
+it is tracked, and are scored as the filter does by default: limited absolute differences with a
+fitted brightness factor, photos four times as fine as the comparison.
+"""
+
+import os
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from benchmarks.scenes import ELEVATORS, repeated, with_wall_as_depth
+from benchmarks.timing import Timing, markdown_table, median_times
+from pipelines.artifacts.array_types import FloatArray
+from pipelines.dataset.dataset import load_dataset
+from pipelines.lightfield.proxy import Quality
+from pipelines.lightfield.renderer import Renderer
+from pipelines.lightfield.scene import Scene
+from pipelines.localize.likelihood import LIKELIHOODS, Comparison
+from pipelines.localize.localizer import VIEW_RESOLUTION_FACTOR
+from pipelines.localize.observation import Observation, Observer
+from pipelines.localize.state_space import PLANAR
+
+FRAME = 8
+# Particles stand so far apart, standard deviations in metres and radians.
+SPREAD = np.array([0.1, 0.1, 0.05])
+WIDTHS = (40, 80, 160)
+PARTICLES, MANY_PARTICLES = 195, 10_000
+VIEWS = (28, 200, 1000)
+GROWTH = (195, 1_000, 10_000, 100_000)
+# Many particles are a median of their own.
+TURNS, TURNS_OF_MANY, TURNS_OF_GROWTH = 7, 1, 3
+GEOMETRIES = {"plane": Quality.PLANE, "depth": Quality.MEDIUM}
+
+
+def states_around(count: int) -> FloatArray:
+    """States ``(count, 3)`` around the true one of the frame."""
+    dataset = load_dataset(ELEVATORS / "test")
+    if dataset.groundtruth is None:
+        raise ValueError("the test drive has no ground truth")
+    nearest = dataset.groundtruth.nearest(dataset.timestamps, 0.1)[FRAME]
+    truth = PLANAR.states(dataset.groundtruth.poses[[nearest]])
+    noise = SPREAD * np.random.default_rng(0).standard_normal((count, 3))
+    return PLANAR.moved(np.repeat(truth, count, axis=0), noise)
+
+
+def observations() -> dict[int, Observation]:
+    """The camera image of the frame, by width."""
+    dataset = load_dataset(ELEVATORS / "test")
+    if dataset.camera is None:
+        raise ValueError("the test drive has no camera")
+    return dict(Observer(dataset.camera, WIDTHS)(dataset.read_image(FRAME)).by_width)
+
+
+def comparison_of(
+    scene: Scene, width: int, threads: int | None, quality: Quality = Quality.PLANE
+) -> Comparison:
+    """What the filter scores particles with, for comparisons of some width."""
+    renderer = Renderer.of_scene(
+        scene, VIEW_RESOLUTION_FACTOR * width, quality=quality, threads=threads
+    )
+    mount = load_dataset(ELEVATORS / "test").body_from_camera
+    return Comparison(renderer, PLANAR, mount, LIKELIHOODS["robust"])
+
+
+def by_size(scene: Scene) -> dict[str, dict[str, Timing]]:
+    """Time a particle: way -> size; both surfaces, few and many particles, one thread and all."""
+    processors = len(os.sched_getaffinity(0))
+    scenes = {"plane": scene, "depth": with_wall_as_depth(scene)}
+    images = observations()
+    result: dict[str, dict[str, Timing]] = {}
+    for width in WIDTHS:
+        size = f"{width}x{images[width].image.shape[0]}"
+        for count, turns in ((PARTICLES, TURNS), (MANY_PARTICLES, TURNS_OF_MANY)):
+            states = states_around(count)
+            tasks = {}
+            for geometry, quality in GEOMETRIES.items():
+                for threads in sorted({1, processors}):
+                    name = f"{geometry}, {count} particles, {_threads(threads)}"
+                    comparison = comparison_of(scenes[geometry], width, threads, quality)
+                    tasks[name] = partial(comparison.log_likelihoods, states, images[width])
+            # Few particles have loaded everything before many come.
+            rehearsals = int(count == PARTICLES)
+            for name, timing in median_times(tasks, turns, rehearsals).items():
+                result.setdefault(name, {})[size] = timing.of_each(count)
+    return result
+
+
+def by_views(scene: Scene) -> dict[str, Timing]:
+    """Time a particle with more and more views of the same place, on one thread."""
+    image = observations()[WIDTHS[0]]
+    states = states_around(PARTICLES)
+    tasks = {}
+    for count in VIEWS:
+        many = scene if count == len(scene) else repeated(scene, count)
+        comparison = comparison_of(many, WIDTHS[0], threads=1)
+        tasks[str(count)] = partial(comparison.log_likelihoods, states, image)
+    return {name: value.of_each(PARTICLES) for name, value in median_times(tasks, TURNS).items()}
+
+
+def by_particles(scene: Scene) -> dict[str, Timing]:
+    """Time a particle for more and more particles, on all processors."""
+    image, comparison = observations()[WIDTHS[0]], comparison_of(scene, WIDTHS[0], threads=None)
+    tasks = {
+        str(count): partial(comparison.log_likelihoods, states_around(count), image)
+        for count in GROWTH
+    }
+    times = median_times(tasks, TURNS_OF_GROWTH, rehearsals=0)
+    return {name: value.of_each(int(name)) for name, value in times.items()}
+
+
+def measure(scene: Scene) -> dict[str, Any]:
+    """All of it; plain JSON types, microseconds a particle."""
+    sizes, views, particles = by_size(scene), by_views(scene), by_particles(scene)
+    plane, depth = (sizes[f"{name}, {PARTICLES} particles, {_threads(1)}"] for name in GEOMETRIES)
+    return {
+        "depth_to_plane": {size: round(depth[size].cpu / plane[size].cpu, 3) for size in plane},
+        "views_growth": _relative(views),
+        "particles_growth": _relative(particles),
+        "scoring": {
+            "turns": {PARTICLES: TURNS, MANY_PARTICLES: TURNS_OF_MANY},
+            "by_size": {name: _microseconds(row) for name, row in sizes.items()},
+            "by_views": _microseconds(views),
+            "by_particles": _microseconds(particles),
+        },
+    }
+
+
+def tables(results: dict[str, Any]) -> str:
+    """The figures for people: CPU time and, in brackets, time by the clock on the wall."""
+    scoring = results["scoring"]
+    sizes = list(next(iter(scoring["by_size"].values())))
+    rows = [
+        (name, *(_cell(row[size]) for size in sizes)) for name, row in scoring["by_size"].items()
+    ]
+    by_size_table = markdown_table(("a particle", *(f"{size} (µs)" for size in sizes)), rows)
+    growths = (
+        ("by_views", "views", "views_growth"),
+        ("by_particles", "particles", "particles_growth"),
+    )
+    parts = [by_size_table]
+    for key, title, growth in growths:
+        rows = [
+            (name, _cell(row), f"{results[growth][name]:.2f}") for name, row in scoring[key].items()
+        ]
+        parts.append(markdown_table((title, "a particle (µs)", "to the first"), rows))
+    return "\n\n".join(parts)
+
+
+def _threads(count: int) -> str:
+    return "1 thread" if count == 1 else f"{count} threads"
+
+
+def _relative(times: dict[str, Timing]) -> dict[str, float]:
+    first = next(iter(times.values())).cpu
+    return {name: round(value.cpu / first, 3) for name, value in times.items()}
+
+
+def _microseconds(times: dict[str, Timing]) -> dict[str, dict[str, float]]:
+    return {
+        name: {"cpu": round(1e6 * value.cpu, 2), "wall": round(1e6 * value.wall, 2)}
+        for name, value in times.items()
+    }
+
+
+def _cell(value: dict[str, float]) -> str:
+    return f"{value['cpu']:.1f} ({value['wall']:.1f})"
