@@ -1,9 +1,14 @@
-"""The fast renderer, compiled: from a pose to a virtual view and its likeness to a camera image.
+"""The fast renderer, compiled: from surfaces to virtual views and their likeness to a camera image.
 
-Same steps and results as ``reference``: the surface, which views to blend with which weights
-(``blending_kernels``, ``net_kernels``), what they show (``cell_kernels``). Everything here is a
-function of its arguments and releases the interpreter lock.
+Same steps and results as ``reference``: the surface (``proxy_kernels``), which views to blend with
+which weights (``blending_kernels``, ``net_kernels``), what they show (``cell_kernels``). Everything
+here is a function of its arguments and releases the interpreter lock.
+
+The compiler optimises every step again inside the next. So there are few steps, each blending rule
+and each kind of surface has an entry of its own, and nobody waits for what is not used.
 """
+
+from typing import cast
 
 import numpy as np
 
@@ -12,16 +17,18 @@ from pipelines.lightfield.blending_kernels import build_tiles
 from pipelines.lightfield.cell_kernels import blend_cells, set_net
 from pipelines.lightfield.comparison import compare
 from pipelines.lightfield.compiled import compiled, compiled_loop
-from pipelines.lightfield.mapping_kernels import is_inside, locate, view_mapping, virtual_rays
-from pipelines.lightfield.net_kernels import project_centre
-from pipelines.lightfield.proxy_kernels import depth_surface, plane_surface
-from pipelines.lightfield.ranking_kernels import is_occluded
+from pipelines.lightfield.mapping_kernels import virtual_rays
 from pipelines.lightfield.reference import SMALLEST_WEIGHT
 from pipelines.lightfield.sampling_kernels import LANES
+from pipelines.lightfield.substitute_kernels import find_substitutes
 from pipelines.lightfield.workspace import LightField, Workspace, workspace_for
 
 OPAQUE = np.float32(255.0)
 ONE, ZERO, SMALLEST = np.float32(1.0), np.float32(0.0), np.float32(SMALLEST_WEIGHT)
+# Of a type like any other, and not a constant, for which the compiler would make one more version.
+NOTHING_HIDES: bool = cast("bool", np.bool_(False))
+# Instead of a ``Cost``: the views are wanted themselves.
+NO_COMPARISON = -1
 
 
 @compiled_loop
@@ -48,136 +55,100 @@ def _normalised(image: Float32Array) -> int:
 
 
 @compiled
-def _substitute(
-    x: float,
-    y: float,
-    inverse_depth: float,
-    pose: FloatArray,
-    intrinsics: FloatArray,
-    field: LightField,
-    space: Workspace,
-) -> int:
-    """The view with the nearest projected centre, of those that show the pixel; -1 for none.
-
-    One that may be occluded is taken only where all others are.
-    """
-    views = field.views
-    best, shortest = -1, np.inf
-    best_hidden, shortest_hidden = -1, np.inf
-    offset, corner = np.empty(3), np.empty(2)
-    for view in range(len(views.centres)):
-        if not field.usable[view] or (field.is_net and not space.takes_part[view]):
-            continue
-        if not space.is_mapped[view]:
-            view_mapping(views.projection, view, pose, space.rays, space.maps, space.shifts)
-            space.is_mapped[view] = True
-        u, v, depth = locate(x, y, inverse_depth, view, space.maps, space.shifts)
-        if depth <= 0.0 or not is_inside(views.level_size, view, u, v):
-            continue
-        for i in range(3):
-            offset[i] = views.centres[view, i] - pose[i, 3]
-        project_centre(offset, pose, intrinsics, corner)
-        distance = (corner[0] - x) ** 2 + (corner[1] - y) ** 2
-        if field.has_depth and is_occluded(
-            views.inverse_depth,
-            views.depth_start,
-            views.depth_size,
-            views.level_size,
-            view,
-            u,
-            v,
-            inverse_depth / depth,
-        ):
-            if distance < shortest_hidden:
-                best_hidden, shortest_hidden = view, distance
-        elif distance < shortest:
-            best, shortest = view, distance
-    return best if best >= 0 else best_hidden
-
-
-@compiled
-def _fill(
+def _show_cells(
     field: LightField,
     pose: FloatArray,
     intrinsics: FloatArray,
-    focal: float,
-    surface: Float32Array,
+    cells: int,
     width: int,
-    empty: int,
+    surface: Float32Array,
     space: Workspace,
     image: Float32Array,
 ) -> None:
-    """Shows the pixels that none of their cell's views show by any other view that does."""
-    columns, rows = np.zeros(empty + LANES, np.float32), np.zeros(empty + LANES, np.float32)
-    depths, pixels = np.zeros(empty + LANES, np.float32), np.empty(empty, np.int32)
-    chosen = np.empty((empty, 1), np.int64)
-    starts = np.arange(empty + 1)
-    found = 0
-    for pixel in range(len(surface)):
-        if image[pixel, 3] > 0.0 or surface[pixel] <= 0.0:
-            continue
-        x, y = pixel % width, pixel // width
-        view = _substitute(x, y, surface[pixel], pose, intrinsics, field, space)
-        if view >= 0:
-            columns[found], rows[found] = x, y
-            depths[found], pixels[found], chosen[found, 0] = surface[pixel], pixel, view
-            found += 1
-    weights = np.zeros((found, 1, 4))
-    weights[:, :, 2] = 1.0
-    blend_cells(
-        field,
-        False,
-        pose,
-        focal,
-        found,
-        chosen,
-        weights,
-        np.zeros((found, 2)),
-        starts,
-        columns,
-        rows,
-        depths,
-        pixels,
-        space,
-        image,
-    )
-    for i in range(found):
-        image[pixels[i], 3] = 1.0
-
-
-@compiled
-def _draw(
-    field: LightField,
-    pose: FloatArray,
-    intrinsics: FloatArray,
-    spacing: float,
-    width: int,
-    space: Workspace,
-    surface: Float32Array,
-    image: Float32Array,
-) -> None:
-    """Renders one virtual view into ``surface`` (H W,) and ``image`` (H W, 4)."""
+    """Renders one virtual view, whose cells are set, into ``image`` (H W, 4)."""
     image[:] = 0.0
-    shape = (len(surface) // width, width)
-    virtual_rays(pose, intrinsics, space.rays)
-    space.is_mapped[:] = False
-    if field.has_depth:
-        depth_surface(
-            field.views,
-            field.usual_inverse_depth,
+    focal = 0.5 * (intrinsics[0] + intrinsics[1])
+    for i in range(len(surface)):
+        space.surface[i] = surface[space.pixels[i]]
+    hides, starts = field.has_depth, space.starts
+    columns, rows, depths, pixels = space.columns, space.rows, space.surface, space.pixels
+    cell_views, cell_weights = space.cell_views, space.cell_weights
+    cell_origins = space.cell_origins
+    # First what the cells' views show, then the pixels that none of them does: each is a cell.
+    for turn in range(2):
+        blend_cells(
+            field,
+            hides,
             pose,
-            intrinsics,
-            spacing,
-            surface.reshape(shape),
+            focal,
+            cells,
+            cell_views,
+            cell_weights,
+            cell_origins,
+            starts,
+            columns,
+            rows,
+            depths,
+            pixels,
+            space,
+            image,
         )
-    else:
-        plane_surface(pose, space.rays, field.plane, surface.reshape(shape))
-    if field.is_net:
-        cells = set_net(field, pose, intrinsics, surface, width, space)
+        if turn == 1:
+            for i in range(cells):
+                image[pixels[i], 3] = ONE
+            break
+        empty = _normalised(image.reshape(-1))
+        if empty == 0:
+            break
+        pixels, cell_views = np.empty(empty, np.int32), np.empty((empty, 1), np.int64)
+        cells = find_substitutes(
+            field, pose, intrinsics, surface, width, image, space, pixels, cell_views
+        )
         if cells == 0:
-            return
-    else:
-        cells = len(space.cell_views)
+            break
+        columns, rows = np.zeros(cells + LANES, np.float32), np.zeros(cells + LANES, np.float32)
+        depths = np.zeros(cells + LANES, np.float32)
+        for i in range(cells):
+            columns[i], rows[i] = pixels[i] % width, pixels[i] // width
+            depths[i] = surface[pixels[i]]
+        hides, starts = NOTHING_HIDES, np.arange(cells + 1)
+        cell_weights, cell_origins = np.zeros((cells, 1, 4)), np.zeros((cells, 2))
+        cell_weights[:, :, 2] = 1.0
+
+
+@compiled
+def render_tiles(
+    field: LightField,
+    poses: FloatArray,
+    intrinsics: FloatArray,
+    surfaces: Float32Array,
+    query: Float32Array,
+    kind: int,
+    fit_gain: bool,
+    images: Float32Array,
+    costs: FloatArray,
+) -> None:
+    """Renders B virtual views by the unstructured lumigraph, and compares them if asked to.
+
+    Args:
+        field: the light field.
+        poses: (B, 4, 4) world_from_camera.
+        intrinsics: (4,) fx, fy, cx, cy.
+        surfaces: (B, H, W) virtual inverse depths; 0: none.
+        query: (H, W, 4) camera image, see ``comparison.prepared``.
+        kind: a ``Cost``, or ``NO_COMPARISON``.
+        fit_gain: whether a brightness factor is fitted before the comparison.
+        images: (B, H, W, 4) receives RGB in 0 to 255, and 1 where any view shows the pixel; all
+            zero elsewhere. For a comparison (1, H, W, 4) are enough.
+        costs: (B,) receives the costs.
+    """
+    height, width = images.shape[1:3]
+    space = workspace_for(field, width, height)
+    for index in range(len(poses)):
+        pose, surface = poses[index], surfaces[index].reshape(-1)
+        image = images[index % len(images)]
+        virtual_rays(pose, intrinsics, space.rays)
+        space.is_mapped[:] = False
         build_tiles(
             pose,
             space.rays,
@@ -191,93 +162,38 @@ def _draw(
             space.cell_weights,
             space.cell_origins,
         )
-    for i in range(len(surface)):
-        space.surface[i] = surface[space.pixels[i]]
-    focal = 0.5 * (intrinsics[0] + intrinsics[1])
-    blend_cells(
-        field,
-        field.has_depth,
-        pose,
-        focal,
-        cells,
-        space.cell_views,
-        space.cell_weights,
-        space.cell_origins,
-        space.starts,
-        space.columns,
-        space.rows,
-        space.surface,
-        space.pixels,
-        space,
-        image,
-    )
-    empty = _normalised(image.reshape(-1))
-    if empty > 0:
-        _fill(field, pose, intrinsics, focal, surface, width, empty, space, image)
+        cells = len(space.cell_views)
+        pixels = image.reshape((-1, 4))
+        _show_cells(field, pose, intrinsics, cells, width, surface, space, pixels)
+        if kind != NO_COMPARISON:
+            costs[index] = compare(kind, image, query, fit_gain)
 
 
 @compiled
-def draw_views(
+def render_nets(
     field: LightField,
     poses: FloatArray,
     intrinsics: FloatArray,
-    spacing: float,
     surfaces: Float32Array,
-    images: Float32Array,
-) -> None:
-    """Renders B virtual views.
-
-    Args:
-        field: the light field.
-        poses: (B, 4, 4) world_from_camera.
-        intrinsics: (4,) fx, fy, cx, cy.
-        spacing: of the corners of the surface's mesh, virtual pixels.
-        surfaces: (B, H, W) receives virtual inverse depths; 0: none.
-        images: (B, H, W, 4) receives RGB in 0 to 255, and 1 where any view shows the pixel; all
-            zero elsewhere.
-    """
-    height, width = images.shape[1:3]
-    space = workspace_for(field, width, height)
-    for index in range(len(poses)):
-        _draw(
-            field,
-            poses[index],
-            intrinsics,
-            spacing,
-            width,
-            space,
-            surfaces[index].reshape(-1),
-            images[index].reshape((-1, 4)),
-        )
-
-
-@compiled
-def score_views(
-    field: LightField,
-    poses: FloatArray,
-    intrinsics: FloatArray,
-    spacing: float,
     query: Float32Array,
     kind: int,
     fit_gain: bool,
+    images: Float32Array,
     costs: FloatArray,
 ) -> None:
-    """Renders B virtual views and compares each with a camera image.
-
-    Args:
-        field: the light field.
-        poses: (B, 4, 4) world_from_camera.
-        intrinsics: (4,) fx, fy, cx, cy.
-        spacing: of the corners of the surface's mesh, virtual pixels.
-        query: (H, W, 4) camera image, see ``comparison.prepared``.
-        kind: a ``Cost``.
-        fit_gain: whether a brightness factor is fitted first.
-        costs: (B,) receives the costs.
-    """
-    height, width = query.shape[:2]
+    """Like ``render_tiles``, by the Delaunay net."""
+    height, width = images.shape[1:3]
     space = workspace_for(field, width, height)
-    surface = np.empty(height * width, np.float32)
-    image = np.empty((height * width, 4), np.float32)
     for index in range(len(poses)):
-        _draw(field, poses[index], intrinsics, spacing, width, space, surface, image)
-        costs[index] = compare(kind, image.reshape((height, width, 4)), query, fit_gain)
+        pose, surface = poses[index], surfaces[index].reshape(-1)
+        image = images[index % len(images)]
+        virtual_rays(pose, intrinsics, space.rays)
+        space.is_mapped[:] = False
+        cells = set_net(field, pose, intrinsics, surface, width, space)
+        pixels = image.reshape((-1, 4))
+        if cells == 0:
+            image[:] = 0.0
+        else:
+            _show_cells(field, pose, intrinsics, cells, width, surface, space, pixels)
+        if kind != NO_COMPARISON:
+            costs[index] = compare(kind, image, query, fit_gain)

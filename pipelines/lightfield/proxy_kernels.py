@@ -4,6 +4,7 @@ import numpy as np
 
 from pipelines.artifacts.array_types import Float32Array, FloatArray, IntArray
 from pipelines.lightfield.compiled import compiled, compiled_loop
+from pipelines.lightfield.mapping_kernels import virtual_rays
 from pipelines.lightfield.proxy import (
     EDGE_FACTOR,
     LARGEST_GAP_SHARE,
@@ -120,9 +121,10 @@ def depth_surface(
 def _without_pinholes(mesh: FloatArray) -> FloatArray:
     """Empties corners that show the background through gaps between foreground points."""
     height, width = mesh.shape
-    padded = np.zeros((height + 2, width + 2))
-    padded[1:-1, 1:-1] = mesh
-    result = np.empty_like(mesh)
+    padded, result = np.zeros((height + 2, width + 2)), np.empty_like(mesh)
+    for row in range(height):
+        for column in range(width):
+            padded[row + 1, column + 1] = mesh[row, column]
     for row in range(height):
         _keep_solid(padded[row], padded[row + 1], padded[row + 2], result[row])
     return result
@@ -215,3 +217,30 @@ def _interpolate(mesh: FloatArray, spacing: float, surface: Float32Array) -> Non
                 surface[row, column] = a if fx < 0.5 else b
             else:
                 surface[row, column] = c if fx < 0.5 else d
+
+
+@compiled
+def plane_surfaces(
+    poses: FloatArray, intrinsics: FloatArray, plane: FloatArray, surfaces: Float32Array
+) -> None:
+    """Writes the plane's inverse depths (B, H, W) in B virtual images; see ``plane_surface``."""
+    rays = np.empty((3, 3))
+    for index in range(len(poses)):
+        virtual_rays(poses[index], intrinsics, rays)
+        plane_surface(poses[index], rays, plane, surfaces[index])
+
+
+@compiled
+def depth_surfaces(
+    views: ViewArrays,
+    usual_inverse_depth: float,
+    poses: FloatArray,
+    intrinsics: FloatArray,
+    spacing: float,
+    surfaces: Float32Array,
+) -> None:
+    """Writes the depth maps' surface (B, H, W) in B virtual images; see ``depth_surface``."""
+    for index in range(len(poses)):
+        depth_surface(
+            views, usual_inverse_depth, poses[index], intrinsics, spacing, surfaces[index]
+        )

@@ -287,15 +287,21 @@ def rank_views(
 @compiled
 def order_of_groups(spheres: Float32Array, scratch: Float32Array) -> IntArray:
     """Groups (G,) in the order in which their centres deviate from the ray to the first point."""
-    deviation = np.empty(len(spheres))
+    deviation, order = np.empty(len(spheres)), np.empty(len(spheres), np.int64)
     for group in range(len(spheres)):
         rx = scratch[PX] - spheres[group, 0]
         ry = scratch[PY] - spheres[group, 1]
         rz = scratch[PZ] - spheres[group, 2]
         along = rx * scratch[VX] + ry * scratch[VY] + rz * scratch[VZ]
         # Minus the cosine.
-        deviation[group] = -along / np.sqrt(rx * rx + ry * ry + rz * rz)
-    return np.argsort(deviation, kind="mergesort")
+        own = -along / np.sqrt(rx * rx + ry * ry + rz * rz)
+        place = group
+        # They are few: put each in its place.
+        while place > 0 and deviation[place - 1] > own:
+            deviation[place], order[place] = deviation[place - 1], order[place - 1]
+            place -= 1
+        deviation[place], order[place] = own, group
+    return order
 
 
 @compiled_loop

@@ -15,8 +15,9 @@ from pipelines.geometry.plane import Plane
 from pipelines.lightfield.blending import Blending
 from pipelines.lightfield.comparison import Cost, prepared
 from pipelines.lightfield.devices import Device, chosen_gpu
-from pipelines.lightfield.kernels import draw_views, score_views
+from pipelines.lightfield.kernels import NO_COMPARISON, render_nets, render_tiles
 from pipelines.lightfield.proxy import Quality, cell_size, usual_inverse_depth
+from pipelines.lightfield.proxy_kernels import depth_surfaces, plane_surfaces
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.view_index import build_index
 from pipelines.lightfield.views import Views, views_of_scene, without_depth
@@ -28,6 +29,8 @@ logger = logging.getLogger(__name__)
 # evenly between threads. Rendered images are kept; there it is so many pixels.
 POSES_TOGETHER = 256
 PIXELS_TOGETHER = 80_000
+# Their surfaces are kept for a moment.
+SURFACE_PIXELS_TOGETHER = 320_000
 
 
 @dataclass(frozen=True)
@@ -114,13 +117,12 @@ class Renderer:
         usable = np.ones(len(views), dtype=np.bool_)
         if quality is Quality.PLANE:
             usable = plane.signed_distance(views.centres) > 0.0
+        self._usual_inverse_depth = float(usual_inverse_depth(self.views))
         self._field = LightField(
             views=self.views.arrays,
             view_index=build_index(self.views, usable),
             usable=usable,
-            plane=plane.coefficients(),
             has_depth=quality is not Quality.PLANE,
-            usual_inverse_depth=float(usual_inverse_depth(self.views)),
             is_net=blending is Blending.DELAUNAY,
         )
 
@@ -225,14 +227,15 @@ class Renderer:
         """
         check_query(query, intrinsics)
         poses = np.ascontiguousarray(world_from_camera, dtype=np.float64)
-        target, vector, spacing = prepared(query), intrinsics.vector(), self._spacing(intrinsics)
-        costs = np.empty(len(poses))
+        target, costs = prepared(query), np.empty(len(poses))
+        pixels = intrinsics.width * intrinsics.height
 
         def score(part: slice) -> None:
-            own = poses[part]
-            score_views(self._field, own, vector, spacing, target, int(cost), fit_gain, costs[part])
+            image = np.empty((1, *target.shape), dtype=np.float32)
+            self._render(poses[part], intrinsics, target, int(cost), fit_gain, image, costs[part])
 
-        list(self._pool.map(score, self._parts(len(poses), POSES_TOGETHER)))
+        together = max(1, min(POSES_TOGETHER, SURFACE_PIXELS_TOGETHER // pixels))
+        list(self._pool.map(score, self._parts(len(poses), together)))
         return costs
 
     def _draw(
@@ -247,16 +250,32 @@ class Renderer:
         poses = np.ascontiguousarray(world_from_camera, dtype=np.float64)
         shape = (len(poses), intrinsics.height, intrinsics.width)
         images = np.empty((*shape, 4), dtype=np.float32)
-        surfaces = np.empty(shape, dtype=np.float32)
-        spacing = self._spacing(intrinsics)
-        draw_views(self._field, poses, intrinsics.vector(), spacing, surfaces, images)
+        no_query, no_costs = np.empty((0, 0, 4), dtype=np.float32), np.empty(0)
+        surfaces = self._render(poses, intrinsics, no_query, NO_COMPARISON, False, images, no_costs)
         return images, surfaces
 
-    def _spacing(self, intrinsics: Intrinsics) -> float:
-        """Distance of the corners of the surface's mesh, virtual pixels."""
+    def _render(
+        self,
+        poses: FloatArray,
+        intrinsics: Intrinsics,
+        query: Float32Array,
+        kind: int,
+        fit_gain: bool,
+        images: Float32Array,
+        costs: FloatArray,
+    ) -> Float32Array:
+        """Renders and compares, see ``kernels.render_tiles``; returns the surfaces."""
+        vector = intrinsics.vector()
+        surfaces = np.empty((len(poses), intrinsics.height, intrinsics.width), dtype=np.float32)
         if self.quality is Quality.PLANE:
-            return 1.0
-        return float(cell_size(self.views, intrinsics, self.quality))
+            plane_surfaces(poses, vector, self.plane.coefficients(), surfaces)
+        else:
+            spacing = float(cell_size(self.views, intrinsics, self.quality))
+            usual = self._usual_inverse_depth
+            depth_surfaces(self.views.arrays, usual, poses, vector, spacing, surfaces)
+        render = render_nets if self._field.is_net else render_tiles
+        render(self._field, poses, vector, surfaces, query, kind, fit_gain, images, costs)
+        return surfaces
 
     def _parts(self, count: int, most: int) -> Iterator[slice]:
         """Poses that are worked on in one call: at most so many, and some for every thread."""

@@ -26,18 +26,14 @@ class LightField(NamedTuple):
         views: the photos.
         view_index: of those that may take part.
         usable: ``(N,)`` which these are.
-        plane: ``(4,)`` unit normal and offset of the surface where there are no depth maps.
-        has_depth: whether the depth maps are the surface.
-        usual_inverse_depth: the median of all depth maps.
+        has_depth: whether depth maps may hide the surface.
         is_net: whether views are blended by the Delaunay net; else by the unstructured lumigraph.
     """
 
     views: ViewArrays
     view_index: ViewIndex
     usable: BoolArray
-    plane: FloatArray
     has_depth: bool
-    usual_inverse_depth: float
     is_net: bool
 
 
