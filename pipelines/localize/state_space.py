@@ -226,6 +226,9 @@ class Spatial:
         self, low: FloatArray, high: FloatArray, count: int, rng: np.random.Generator
     ) -> FloatArray:
         """See ``StateSpace.uniform``."""
+        if count == 0:
+            # Earlier versions of SciPy know no empty list of rotations.
+            return np.empty((0, self.dimension))
         # Four normal numbers point in all directions alike, so that no rotation is preferred.
         rotation = Rotation.from_quat(rng.standard_normal((count, 4))).as_rotvec()
         return np.concatenate([rng.uniform(low, high, (count, 3)), rotation], axis=1)
