@@ -75,8 +75,8 @@ demo: $(STAMP)
 
 demo-dock: $(STAMP)
 	$(BIN)/python -m pip install --quiet --editable '.[dev,sim]'
-	@echo "== 1/4 Where was the camera when each map photo was taken?"
-	$(LFNAV) reconstruct $(DATA)/elevators/map -o $(DEMO_DOCK)/map --method odometry --overwrite
+	@echo "== 1/4 Where was the camera when each map photo was taken? (from the photos and the odometry of a robot on a floor)"
+	$(LFNAV) reconstruct $(DATA)/elevators/map -o $(DEMO_DOCK)/map --method sfm --planar --overwrite
 	@echo "== 2/4 The scene model, with depth maps computed from the photos (a minute or two)"
 	$(LFNAV) model $(DEMO_DOCK)/map -o $(DEMO_DOCK)/scene.h5 --geometry depth --overwrite
 	@echo "== 3/4 Docking: a robot whose camera images are path-traced (a second or two of processor time each)"

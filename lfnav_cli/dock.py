@@ -307,6 +307,9 @@ def command(
         listener=_silent if _is_quiet() else _print_step,
     )
     print_summary(summary, as_json)
+    if _is_quiet() and summary.exit_code != 0:
+        ending = summary.docking.outcome
+        click.echo(f"lfnav: {ending.ending.word}: {ending.reason}", err=True)
     return summary.exit_code
 
 

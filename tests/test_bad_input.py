@@ -163,6 +163,11 @@ def no_odometry(place: Place) -> Refusal:
     return Refusal(place.localize(), place.data / "odometry.txt", "missing: .*give .*--odometry")
 
 
+def no_odometry_to_stay_on_the_floor(place: Place) -> Refusal:
+    (place.data / "odometry.txt").unlink()
+    return Refusal(place.reconstruct("sfm", "--planar"), place.data, "--planar needs both")
+
+
 def no_odometry_for_a_map(place: Place) -> Refusal:
     (place.data / "odometry.txt").unlink()
     return Refusal(place.reconstruct(), place.data / "odometry.txt", "does not exist")
@@ -366,6 +371,7 @@ CASES: tuple[Callable[[Place], Refusal], ...] = (
     quaternion_of_another_length,
     no_odometry,
     no_odometry_for_a_map,
+    no_odometry_to_stay_on_the_floor,
     other_odometry_not_there,
     camera_without_params,
     negative_focal_length,

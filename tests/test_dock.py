@@ -236,6 +236,14 @@ def test_settings_that_make_no_sense(name: str, value: float) -> None:
         DockSettings(**{name: value})  # type: ignore[arg-type]
 
 
+def test_a_robot_of_a_known_size_comes_nearer_than_one_of_unknown() -> None:
+    assert DockSettings().distance_kept == 0.5
+    assert DockSettings(robot_radius=0.3).distance_kept == pytest.approx(0.35)
+    assert DockSettings(robot_radius=0.3, least_distance=0.4).distance_kept == 0.4
+    with pytest.raises(OptionError, match="touches the surface"):
+        DockSettings(robot_radius=0.3, least_distance=0.2)
+
+
 # --- parts --------------------------------------------------------------------------------------
 
 

@@ -84,9 +84,13 @@ def test_another_ending_has_its_exit_code_and_keeps_the_run(
 ) -> None:
     output = tmp_path / "run.h5"
     robot = ["--robot", f"model:{scene}", "--goal-view", "1", "--fault", "blocked:3"]
-    code, out, _ = run(near_wall(scene, output, *robot), capsys)
+    code, out, err = run(near_wall(scene, output, "--quiet", *robot), capsys)
     assert code == 11
-    assert "did not happen" in out
+    # Quiet or not: a robot that is not docked is told of, with the reason, in one line.
+    assert out == ""
+    assert err.startswith("lfnav: blocked: ")
+    assert "did not happen" in err
+    assert err.count("\n") == 1
     record = load_run(output).docking
     assert record is not None
     # View 1 was taken straight in front of the wall, from two metres away.

@@ -99,6 +99,21 @@ def test_where_nothing_is_seen_aside_the_drive_turns_aside_less() -> None:
     assert is_near(state, STAGING, 0.1, 0.1)
 
 
+@pytest.mark.parametrize("lost_views", [0, 1, 3, 9])
+def test_a_drive_that_lost_its_view_aside_dares_less_and_still_arrives(lost_views: int) -> None:
+    state, target = np.array([0.6, 0.2, GOAL[2]]), np.array([0.0, 0.0, GOAL[2]])
+    widest = 0.0
+    for _ in range(150):
+        movement = diff_movement_to(state, target, DIFF, lambda _: True, lambda _: True, lost_views)
+        state = moved(state, movement)
+        widest = max(widest, abs(turn_between(state, target)))
+        if is_near(state, target, 0.1, 0.1):
+            break
+    assert is_near(state, target, 0.1, 0.1)
+    share = (1.0, 0.75, 0.5, 0.3)[min(lost_views, 3)]
+    assert widest == pytest.approx(share * math.radians(40.0), abs=math.radians(3.0))
+
+
 def test_steps_become_smaller_towards_the_goal() -> None:
     state, steps = behind(GOAL, 0.8), []
     while distance_between(state, GOAL) > 0.05:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.patches import Circle
 from PIL import Image
 
 from pipelines.artifacts.progress import no_progress
@@ -40,6 +41,24 @@ def test_the_figure_shows_estimated_and_true_distance(run: Run) -> None:
     known = np.isfinite(lines["estimated"])
     assert known[-1]
     assert abs(lines["estimated"][known] - expected[known]).max() < 0.1
+
+
+def test_the_figure_shows_what_stood_in_the_way_and_the_size_of_the_robot(run: Run) -> None:
+    tracks = tracks_of(run, None)
+    pillars = np.array([[0.4, -1.0], [-0.4, -1.0]])
+    around = replace(surroundings_of(wall_scene(), tracks), standing=pillars)
+    record = run.docking
+    assert record is not None
+    sized = replace(run, docking=replace(record, settings={"robot_radius": 0.3}))
+    above = docking_figure(sized, around, tracks).axes[0]
+    lines = {line.get_label(): line for line in above.lines}
+    dots = np.asarray(lines["what stands on the floor"].get_xydata())
+    np.testing.assert_array_equal(dots, pillars)
+    circles = [patch for patch in above.patches if isinstance(patch, Circle)]
+    assert len(circles) == len(run.frames)
+    assert {circle.radius for circle in circles} == {0.3}
+    unsized = docking_figure(run, around, tracks).axes[0]
+    assert not any(isinstance(patch, Circle) for patch in unsized.patches)
 
 
 def test_the_animation_has_a_picture_a_step(run: Run) -> None:

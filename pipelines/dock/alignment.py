@@ -47,7 +47,7 @@ class FineAlignment:
         camera: the robot's.
         base_from_camera: ``(4, 4)`` its mount.
         settings: of the filter.
-        goal: ``(3,)`` fixes farther than ``reach`` from it are left alone.
+        goal: ``(3,)`` fixes farther than ``reach`` from it are left alone; None: no fix is.
         reach: metres.
     """
 
@@ -57,8 +57,8 @@ class FineAlignment:
         camera: Camera,
         base_from_camera: FloatArray,
         settings: LocalizerSettings,
-        goal: FloatArray,
-        reach: float,
+        goal: FloatArray | None = None,
+        reach: float = math.inf,
     ) -> None:
         self._goal, self._reach = goal, reach
         self._renderer = Renderer.of_scene(
@@ -83,7 +83,8 @@ class FineAlignment:
             fix: to begin from.
             image: ``(H, W, 3)`` RGB as recorded.
         """
-        if not fix.is_sure or distance_between(fix.state, self._goal) > self._reach:
+        is_far = self._goal is not None and distance_between(fix.state, self._goal) > self._reach
+        if is_far or not fix.is_sure:
             return fix
         observations = self._observer(image)
         if observations.is_blind:

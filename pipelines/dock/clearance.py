@@ -13,15 +13,12 @@ from pipelines.artifacts.array_types import FloatArray
 from pipelines.geometry.camera import Undistorter
 from pipelines.geometry.plane import Plane
 from pipelines.lightfield.scene import Scene
+from pipelines.lightfield.standing_points import standing_points
 
 # A plane whose normal rises less than this is a wall.
 LARGEST_TILT = 0.3
-# Points of the surface lower than this are floor; higher than the top, the robot passes below.
-FLOOR, TOP_ABOVE_CAMERA = 0.12, 0.2
-# Depth maps are read at every so many pixels, and their points gathered in cells of this size.
-PIXEL_STRIDE, CELL = 4, 0.05
-# A cell with fewer points than this is an error of a depth map.
-LEAST_POINTS = 3
+# The robot passes below what is higher than this above its camera, metres.
+TOP_ABOVE_CAMERA = 0.2
 # A place that lies this much farther than the surface, as seen by a view, is inside of it, metres.
 HIDDEN_BY = 0.1
 
@@ -45,7 +42,7 @@ class Clearance:
         self._plane = scene.plane
         self._scene = scene
         self._height = camera_height
-        points = _surface_points(scene, camera_height + TOP_ABOVE_CAMERA)
+        points = standing_points(scene, camera_height + TOP_ABOVE_CAMERA)
         self._points = None if points is None else _SurfacePoints(cKDTree(points))
 
     @property
@@ -85,41 +82,3 @@ def _wall_distance(plane: Plane, state: FloatArray, camera_height: float) -> flo
     # Where the wall leans, what counts is where it is nearest.
     places = np.array([[state[0], state[1], z] for z in (0.0, camera_height)])
     return float(plane.signed_distance(places).min())
-
-
-def _surface_points(scene: Scene, top: float) -> FloatArray | None:
-    """Where the surface stands on the floor, ``(M, 2)``; None where no depth map shows any."""
-    if not scene.depth:
-        return None
-    points = [_points_of_view(scene, index, top) for index in range(len(scene))]
-    places = np.concatenate(points)
-    cells = np.floor(places / CELL).astype(np.int64)
-    _, owner, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
-    owner = owner.reshape(-1)
-    sums = [np.bincount(owner, places[:, axis], len(counts)) for axis in range(2)]
-    # The middle of a cell's points and not of the cell: narrow passages count centimetres.
-    kept = np.stack(sums, axis=1)[counts >= LEAST_POINTS] / counts[counts >= LEAST_POINTS, None]
-    return None if len(kept) == 0 else np.asarray(kept, dtype=np.float64)
-
-
-def _points_of_view(scene: Scene, index: int, top: float) -> FloatArray:
-    """Where the surface that one view shows stands on the floor, ``(M, 2)``."""
-    depth = scene.depth[index]
-    height, width = depth.inverse_depth.shape
-    pinhole = Undistorter(scene.camera_of(index)).intrinsics.resized(width, height)
-    rows, columns = np.mgrid[0:height:PIXEL_STRIDE, 0:width:PIXEL_STRIDE]
-    inverse = depth.inverse_depth[rows, columns].astype(np.float64)
-    known = depth.confident[rows, columns] & (inverse > 0.0)
-    z = 1.0 / inverse[known]
-    camera = np.stack(
-        [
-            (columns[known] - pinhole.cx) / pinhole.fx * z,
-            (rows[known] - pinhole.cy) / pinhole.fy * z,
-            z,
-        ],
-        axis=1,
-    )
-    pose = scene.world_from_camera[index]
-    world = camera @ pose[:3, :3].T + pose[:3, 3]
-    standing = (world[:, 2] > FLOOR) & (world[:, 2] < top)
-    return np.asarray(world[standing, :2])

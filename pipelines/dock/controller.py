@@ -8,7 +8,7 @@ the target by tacking, as a car does that is parked: back on one diagonal, forwa
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -67,6 +67,7 @@ def diff_movement_to(
     settings: DockSettings,
     is_allowed: Callable[[FloatArray], bool],
     sees: Callable[[FloatArray], bool],
+    lost_views: int = 0,
 ) -> Movement:
     """The next movement of a differential drive towards a pose, with the goal mostly in view.
 
@@ -76,7 +77,10 @@ def diff_movement_to(
         settings: limits of one movement.
         is_allowed: whether the robot may stand at a state.
         sees: whether its camera sees enough of the scene there.
+        lost_views: how often it turned aside and then did not know where it was: each time it dares
+            less.
     """
+    shares = VIEW_SHARES[min(lost_views, len(VIEW_SHARES) - 1) :]
     step = settings.largest_step
     heading = -turn_between(state, target)
     remaining = movement_between(np.array([state[0], state[1], target[2]]), target)
@@ -85,10 +89,11 @@ def diff_movement_to(
         return _turn(-heading, settings)
     direction = 1.0 if ahead >= 0.0 else -1.0
     course = math.atan2(direction * left, direction * ahead)
-    if abs(course) <= WIDEST_VIEW:
+    if abs(course) <= shares[0] * WIDEST_VIEW:
         return _drive(heading, course, direction * min(step, remaining.distance), settings)
     forwards, backwards = (
-        _widest_seen(state, target, math.copysign(1.0, sign * left), sees) for sign in (1, -1)
+        _widest_seen(state, target, math.copysign(1.0, sign * left), sees, shares)
+        for sign in (1, -1)
     )
     if forwards == backwards == 0.0:
         # Nothing is to be seen on either side: as little aside as still leads there.
@@ -106,10 +111,14 @@ def diff_movement_to(
 
 
 def _widest_seen(
-    state: FloatArray, target: FloatArray, sign: float, sees: Callable[[FloatArray], bool]
+    state: FloatArray,
+    target: FloatArray,
+    sign: float,
+    sees: Callable[[FloatArray], bool],
+    shares: Sequence[float],
 ) -> float:
     """The course on one side of the target's heading, as wide as the scene stays in view."""
-    for share in VIEW_SHARES:
+    for share in shares:
         course = sign * share * WIDEST_VIEW
         if sees(np.array([state[0], state[1], target[2] + course])):
             return course

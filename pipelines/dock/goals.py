@@ -8,6 +8,7 @@ import numpy as np
 from pipelines.artifacts.array_types import FloatArray
 from pipelines.artifacts.errors import InputError, OptionError
 from pipelines.dataset.images import decode_image, read_image_bytes
+from pipelines.dock.alignment import FineAlignment
 from pipelines.dock.fix import fix_of
 from pipelines.geometry.camera import Camera
 from pipelines.geometry.pose import inverse, planar_state_of
@@ -65,9 +66,11 @@ def goal_of_image(
             "take it with the robot's camera",
         )
     localizer = Localizer(scene, camera, base_from_camera, replace(settings, start=None), rng)
+    alignment = FineAlignment(scene, camera, base_from_camera, settings)
     for number in range(LOOKS):
         fix = fix_of(localizer.step(image, np.zeros(3) if number else None, float(number)))
-        if fix.is_sure and fix.is_refined:
+        fix = alignment(fix, image)
+        if fix.is_sure and fix.is_aligned:
             return fix.state
     raise InputError(
         path,

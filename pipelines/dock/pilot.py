@@ -77,6 +77,7 @@ class Memory:
         attempts: times that it left the staging pose.
         alignment_steps: since it began to align itself.
         docked_images: images running that show the robot at the goal.
+        lost_views: turns on the way to staging after which the belief was no longer narrow.
     """
 
     phase: Phase = Phase.SEARCHING
@@ -88,6 +89,7 @@ class Memory:
     attempts: int = 0
     alignment_steps: int = 0
     docked_images: int = 0
+    lost_views: int = 0
 
 
 @dataclass(frozen=True)
@@ -183,6 +185,7 @@ class Pilot:
             movement = self._trial(fix, memory.search)
         elif memory.phase is not Phase.SEARCHING and abs(measured.turn) > SMALLEST_TRIAL:
             movement = Movement(turn=-measured.turn)
+            memory = replace(memory, lost_views=memory.lost_views + 1)
         again = replace(
             memory, phase=Phase.SEARCHING, search=search, alignment_steps=0, docked_images=0
         )
@@ -201,7 +204,7 @@ class Pilot:
         memory = replace(memory, phase=phase, attempts=memory.attempts + is_attempt)
         if phase is Phase.STAGING:
             memory = replace(memory, alignment_steps=0, docked_images=0)
-            return self._allowed(memory, fix, self._towards_staging(fix))
+            return self._allowed(memory, fix, self._towards_staging(fix, memory))
         if phase is Phase.APPROACH:
             if memory.attempts > self.settings.max_attempts:
                 return Decision(
@@ -232,13 +235,18 @@ class Pilot:
         too_long = memory.alignment_steps >= LARGEST_ALIGNMENT
         return too_long or distance_between(fix.state, self.goal) > 2.0 * ALIGNMENT_DISTANCE
 
-    def _towards_staging(self, fix: Fix) -> Movement:
+    def _towards_staging(self, fix: Fix, memory: Memory) -> Movement:
         settings = self.settings
         if settings.drive == "omni":
             step = nearing(distance_between(fix.state, self.staging), settings)
             return omni_movement(fix.state, self.staging, step, settings.largest_turn)
         return diff_movement_to(
-            fix.state, self.staging, settings, self._safety.is_allowed, self._explorer.sees
+            fix.state,
+            self.staging,
+            settings,
+            self._safety.is_allowed,
+            self._explorer.sees,
+            memory.lost_views,
         )
 
     def _towards_goal(self, fix: Fix) -> Movement:
@@ -272,7 +280,7 @@ class Pilot:
             if movement == STANDSTILL:
                 # Beside the goal: no turn and no drive leads there any more.
                 begin_again = replace(memory, phase=Phase.STAGING, alignment_steps=0)
-                return self._allowed(begin_again, fix, self._towards_staging(fix))
+                return self._allowed(begin_again, fix, self._towards_staging(fix, memory))
         return self._allowed(memory, fix, movement)
 
     def _is_docked(self, fix: Fix) -> bool:

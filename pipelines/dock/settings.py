@@ -61,7 +61,12 @@ class DockSettings:
         _within("largest step", self.largest_step, 0.01, 10.0)
         _within("largest turn", self.largest_turn, math.radians(1.0), math.pi)
         _within("robot radius", self.robot_radius, 0.0, 100.0)
-        _within("least distance", self.distance_kept, self.robot_radius, 100.0)
+        _within("least distance", self.distance_kept, 0.0, 100.0)
+        if self.distance_kept < self.robot_radius:
+            raise OptionError(
+                f"a robot of radius {self.robot_radius:g} m touches the surface at the least "
+                f"distance {self.distance_kept:g} m of its middle"
+            )
         _within("staging distance", self.staging_distance, 0.1, 100.0)
         _within("number of steps", self.max_steps, 1, 100_000)
         _within("number of seconds", self.max_seconds, 0.1, 1e7)

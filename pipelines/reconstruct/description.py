@@ -17,6 +17,8 @@ SHOWN_STATISTICS = {
     "median_triangulation_angle_deg": ("median triangulation angle (deg)", 1),
     "alignment_position_rmse_m": ("alignment to odometry, position (m)", 3),
     "alignment_rotation_rmse_deg": ("alignment to odometry, rotation (deg)", 2),
+    "planar_rms_px": ("adjusted in the plane, error (px)", 2),
+    "planar_moved_m": ("adjusted in the plane, moved by (m)", 3),
 }
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from pipelines.artifacts.array_types import FloatArray
 from pipelines.artifacts.atomic import check_output
-from pipelines.artifacts.errors import OptionError, StageError
+from pipelines.artifacts.errors import InputError, OptionError, StageError
 from pipelines.artifacts.progress import Progress
 from pipelines.artifacts.provenance import provenance, sha256_of_bytes, sha256_of_file
 from pipelines.dataset.dataset import Dataset, load_dataset
@@ -59,6 +59,13 @@ def reconstruct(
     """
     check_output(output, overwrite, DESCRIPTION_NAME)
     data = load_dataset(dataset)
+    if settings.planar and (data.odometry is None or data.base_from_camera is None):
+        # Said before minutes are spent on structure from motion.
+        raise InputError(
+            data.root,
+            "has no odometry.txt or no [mount] in camera.toml, and --planar needs both",
+            "without --planar the camera moves freely",
+        )
     if settings.method == "sfm":
         result = _from_images(data, settings, progress)
         if settings.planar:

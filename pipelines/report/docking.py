@@ -3,6 +3,7 @@
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from pipelines.artifacts.array_types import BoolArray, FloatArray
@@ -30,7 +31,8 @@ STATE_SHADE = {
 }
 CAPTION = (
     "Left, the place from above: the goal (star), the staging pose behind it (square), the path by "
-    "the estimate and, where it is known, by ground truth. Right, the distance to the goal at each "
+    "the estimate and, where it is known, by ground truth; grey dots are what stands on the floor, "
+    "circles a robot whose radius was given. Right, the distance to the goal at each "
     "step on a logarithmic scale; the band is what the belief itself does not rule out: the "
     "estimated distance and two standard deviations. Shades are the states of the docking."
 )
@@ -71,9 +73,25 @@ def docking_figure(run: Run, surroundings: Surroundings, tracks: Tracks) -> Figu
         *acted_on(run)[:, :2].T, color=style.ESTIMATE, linewidth=1.4, marker="o", markersize=3.0,
         label="estimated path", zorder=3.4,
     )  # fmt: skip
+    draw_robot(above, run)
     above.legend(loc="best", framealpha=0.9)
     _draw_distances(figure.add_axes((0.55, 0.11, 0.43, 0.8)), run)
     return figure
+
+
+def draw_robot(axes: Axes, run: Run) -> None:
+    """The circle that a robot of known size fills, at every step."""
+    radius = float(record_of(run).settings.get("robot_radius", 0.0))
+    paths = [acted_on(run)] if run.groundtruth is None else [run.groundtruth]
+    for place in [place for path in paths for place in path[:, :2] if radius > 0.0]:
+        if np.all(np.isfinite(place)):
+            axes.add_patch(
+                Circle(
+                    (float(place[0]), float(place[1])), radius, fill=False, linewidth=0.6,
+                    edgecolor=style.TRUTH if run.groundtruth is not None else style.ESTIMATE,
+                    alpha=0.5, zorder=2.5,
+                )
+            )  # fmt: skip
 
 
 def draw_goal(axes: Axes, record: DockingRecord) -> None:

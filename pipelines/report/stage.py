@@ -1,6 +1,6 @@
 """The stage ``report``: from a run and its scene to a folder with a page and figures."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ from pipelines.lightfield.bundle import load_scene, scene_provenance
 from pipelines.lightfield.proxy import Quality, quality_named
 from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.scene import Scene
+from pipelines.lightfield.standing_points import standing_points
 from pipelines.localize.run import Run, check_run_belongs_to, load_run, locate_scene
 from pipelines.report.animation import animation
 from pipelines.report.content import page_of
@@ -176,7 +177,12 @@ def _content(
         except LfnavError as error:
             raise InputError(run_path, f"frame {index} cannot be shown ({error})") from error
     clouds = [run.frames[index].particles for index in indices]
-    return Content(run, tracks, surroundings_of(scene, tracks, clouds), views)
+    around = surroundings_of(scene, tracks, clouds)
+    if run.docking is not None:
+        # A robot that moves by the map is judged by what stood in its way.
+        top = float(run.base_from_camera[2, 3])
+        around = replace(around, standing=standing_points(scene, top))
+    return Content(run, tracks, around, views)
 
 
 def _animation(content: Content, progress: Progress) -> bytes | None:

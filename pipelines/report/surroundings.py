@@ -50,11 +50,13 @@ class Surroundings:
         surface: None where no view covers any of it.
         recordings: ``(V, 3)`` camera positions x, y (metres) and headings (radians).
         extent: ``(4,)`` x_min, x_max, y_min, y_max (metres) of everything worth showing.
+        standing: ``(M, 2)`` points of what stands on the floor, metres; None: not asked for.
     """
 
     surface: Surface | None
     recordings: FloatArray
     extent: FloatArray
+    standing: FloatArray | None = None
 
 
 def surroundings_of(

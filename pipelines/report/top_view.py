@@ -121,6 +121,11 @@ def draw_place(
     _draw_axes(axes, limits)
     if surroundings.surface is not None:
         _draw_surface(axes, surroundings.surface, limits)
+    if surroundings.standing is not None:
+        axes.plot(
+            *surroundings.standing.T, ".", color=style.FAINT, markersize=1.6 * size, zorder=1.2,
+            label="what stands on the floor",
+        )  # fmt: skip
     _draw_recordings(axes, surroundings.recordings, limits, size)
 
 

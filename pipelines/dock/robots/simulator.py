@@ -5,6 +5,9 @@ GPU is needed. Mitsuba's variant ``llvm_ad_rgb`` is two to three times as quick 
 and needs the library LLVM; the two draw other random numbers, so that their images differ in noise.
 """
 
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -138,7 +141,9 @@ def imported_mitsuba(variant: str = FASTEST) -> Any:
         StageError: it is not installed, or the variant does not load.
     """
     try:
-        import mitsuba
+        # Where LLVM is missing, Mitsuba's C++ part says so on the terminal by itself.
+        with _silent_terminal():
+            import mitsuba
     except ImportError as error:
         raise StageError(
             f"robots of the kind sim: need Mitsuba, which is not installed; {INSTALL}"
@@ -167,9 +172,20 @@ def _does_load(mitsuba: Any, variant: str) -> bool:
         return True
     import drjit
 
-    # A library that is missing is no reason for drjit to write to the terminal.
-    drjit.set_log_level(drjit.LogLevel.Error)
     return bool(drjit.has_backend(drjit.JitBackend.LLVM))
+
+
+@contextmanager
+def _silent_terminal() -> Iterator[None]:
+    """Nothing that a library writes to the standard error's descriptor is seen."""
+    terminal, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(terminal, 2)
+        os.close(terminal)
+        os.close(nowhere)
 
 
 def developed(radiance: Float32Array) -> ImageArray:
