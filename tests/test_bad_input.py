@@ -168,6 +168,10 @@ def no_odometry_for_a_map(place: Place) -> Refusal:
     return Refusal(place.reconstruct(), place.data / "odometry.txt", "does not exist")
 
 
+def odometry_refused(place: Place) -> Refusal:
+    return Refusal(place.localize("--odometry", "none"), Path("none"), "missing: a planar robot")
+
+
 def other_odometry_not_there(place: Place) -> Refusal:
     named = place.data / "wheels.txt"
     return Refusal(place.localize("--odometry", named), named, "does not exist")
@@ -366,6 +370,7 @@ CASES: tuple[Callable[[Place], Refusal], ...] = (
     quaternion_of_another_length,
     no_odometry,
     no_odometry_for_a_map,
+    odometry_refused,
     other_odometry_not_there,
     camera_without_params,
     negative_focal_length,
