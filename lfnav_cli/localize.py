@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pipelines.artifacts.progress import Progress
 
 parse_planar_start = parse_numbers(3, "X,Y,DEG")
-parse_spatial_start = parse_numbers(6, "X,Y,Z,RX,RY,RZ")
+parse_spatial_start = parse_numbers(6, "uniform, X,Y,DEG or X,Y,Z,RX,RY,RZ")
 
 
 def _parse_init(
