@@ -44,8 +44,9 @@ class RunResult:
             busy machine the one figure that can be compared. (A process that makes several runs at
             once, as Dask's workers may, counts them all in each.)
         seconds_per_frame: wall time, mean over all frames.
-        seconds_while_searching: mean over the frames of the global search, None where none was.
-        seconds_while_tracking: mean over the frames in which one mode was followed; likewise.
+        seconds_while_searching: mean over the frames of the global search: the first, where the
+            start is anywhere, and those whose status is "global"; None where there are none.
+        seconds_while_tracking: mean over the others in which one mode was followed; likewise.
     """
 
     success: bool
@@ -123,6 +124,11 @@ def judged(run: Run, cpu_seconds: float) -> RunResult:
     settled = _medians(errors[:, SETTLED:][:, has_truth[SETTLED:]])
     blind = [frame.confidence for frame in run.frames if frame.status == "blind"]
     seeing = [frame.confidence for frame in run.frames if frame.status != "blind"]
+    seconds = np.array([sum(frame.seconds.values()) for frame in run.frames])
+    statuses = np.array([frame.status for frame in run.frames])
+    searched = statuses == "global"
+    # Found at once or not: nobody knew where to look.
+    searched[0] |= run.settings.get("start") is None
     return RunResult(
         success=evaluation is not None and evaluation.success,
         position_error_m=None if position is None else position.last5_mean,
@@ -140,9 +146,9 @@ def judged(run: Run, cpu_seconds: float) -> RunResult:
         confidence_blind=max(blind, default=None),
         confidence=float(np.median(seeing)) if seeing else None,
         cpu_seconds_per_frame=cpu_seconds / len(run.frames),
-        seconds_per_frame=_seconds(run, None) or 0.0,
-        seconds_while_searching=_seconds(run, "global"),
-        seconds_while_tracking=_seconds(run, "tracking"),
+        seconds_per_frame=float(np.mean(seconds)),
+        seconds_while_searching=_mean(seconds[searched]),
+        seconds_while_tracking=_mean(seconds[(statuses == "tracking") & ~searched]),
     )
 
 
@@ -199,11 +205,5 @@ def _share_in_region(evaluation: RunEvaluation | None) -> float | None:
     return share if math.isfinite(share) else None
 
 
-def _seconds(run: Run, status: str | None) -> float | None:
-    """Mean wall time of the frames with a status (None: any); None where there are none."""
-    times = [
-        sum(frame.seconds.values())
-        for frame in run.frames
-        if status is None or frame.status == status
-    ]
-    return float(np.mean(times)) if times else None
+def _mean(values: FloatArray) -> float | None:
+    return float(np.mean(values)) if len(values) else None
