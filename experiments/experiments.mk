@@ -16,7 +16,7 @@ EXPERIMENTS := out/experiments
 SETTINGS := experiments/settings
 TRUE_MAPS := $(EXPERIMENTS)/true-maps
 SETS := elevators workshop
-SWEEPS := strategies robustness true-poses proposals particles
+SWEEPS := every-start strategies robustness true-poses proposals particles
 # make experiments SEEDS=0-99: other seeds than those in sweeps/*.toml.
 SEEDS :=
 
@@ -55,7 +55,7 @@ TABLES := $(SWEEPS:%=$(EXPERIMENTS)/%/table.md)
 $(TABLES): $(EXPERIMENTS)/%/table.md: experiments/sweeps/%.toml $(SETS:%=$(EXPERIMENTS)/%/scene.h5) FORCE | $(STAMP)
 	$(LFNAV) sweep $< -o $(@D) $(if $(SEEDS),--seeds $(SEEDS))
 
-$(EXPERIMENTS)/robustness/table.md: $(DISTURBED)
+$(EXPERIMENTS)/every-start/table.md $(EXPERIMENTS)/robustness/table.md: $(DISTURBED)
 $(EXPERIMENTS)/true-poses/table.md: $(SETS:%=$(TRUE_MAPS)/%/scene.h5)
 
 # Figures 6 and 7 of the paper: the particles after the first, the middle and the last step.
