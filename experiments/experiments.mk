@@ -6,14 +6,17 @@
 # where lines that begin with # are comments.
 #
 #   sample_data/SET/map/* , settings/SET/*.flags          -> out/experiments/SET/scene.h5
+#   the same and SET/map/groundtruth.txt                  -> out/experiments/true-maps/SET/scene.h5
+#   sample_data/elevators/test                            -> out/experiments/disturbed/
 #   scenes, sample_data/SET/test/*, sweeps/SWEEP.toml     -> out/experiments/SWEEP/table.md
 #   scene of elevators, its test drive                    -> out/experiments/RUN/report/report.html
 #   sample_data/elevators, settings/elevators/doors.toml  -> out/experiments/view-dependence/
 
 EXPERIMENTS := out/experiments
 SETTINGS := experiments/settings
+TRUE_MAPS := $(EXPERIMENTS)/true-maps
 SETS := elevators workshop
-SWEEPS := strategies particles
+SWEEPS := every-start strategies robustness true-poses proposals particles
 # make experiments SEEDS=0-99: other seeds than those in sweeps/*.toml.
 SEEDS :=
 
@@ -29,12 +32,31 @@ $(EXPERIMENTS)/$(1)/map/reconstruction.json: $(call images,$(1),map) $(DATA)/$(1
 
 $(EXPERIMENTS)/$(1)/scene.h5: $(EXPERIMENTS)/$(1)/map/reconstruction.json $(SETTINGS)/$(1)/model.flags | $(STAMP)
 	$$(LFNAV) model $$(<D) -o $$@ $(call flags,$(SETTINGS)/$(1)/model.flags) --overwrite
+
+# A light field with depth at true poses: what is left of the errors when those of the map are gone.
+$(TRUE_MAPS)/$(1)/map/reconstruction.json: $(call images,$(1),map) $(DATA)/$(1)/map/groundtruth.txt | $(STAMP)
+	$$(LFNAV) reconstruct $(DATA)/$(1)/map -o $$(@D) --method poses \
+		--poses $(DATA)/$(1)/map/groundtruth.txt --overwrite
+
+$(TRUE_MAPS)/$(1)/scene.h5: $(TRUE_MAPS)/$(1)/map/reconstruction.json | $(STAMP)
+	$$(LFNAV) model $$(<D) -o $$@ --geometry depth --overwrite
 endef
 $(foreach set,$(SETS),$(eval $(call map_rules,$(set))))
+
+# Drives on which something goes wrong.
+DISTURBED := $(EXPERIMENTS)/disturbed/disturbed.json
+ROBUSTNESS := $(VENV_PYTHON) experiments/robustness.py
+
+$(DISTURBED): $(call images,elevators,test) $(wildcard $(DATA)/elevators/test/odometry*.txt) \
+		$(DATA)/elevators/test/groundtruth.txt experiments/robustness.py | $(STAMP)
+	$(ROBUSTNESS) $(DATA)/elevators/test -o $(@D)
 
 TABLES := $(SWEEPS:%=$(EXPERIMENTS)/%/table.md)
 $(TABLES): $(EXPERIMENTS)/%/table.md: experiments/sweeps/%.toml $(SETS:%=$(EXPERIMENTS)/%/scene.h5) FORCE | $(STAMP)
 	$(LFNAV) sweep $< -o $(@D) $(if $(SEEDS),--seeds $(SEEDS))
+
+$(EXPERIMENTS)/every-start/table.md $(EXPERIMENTS)/robustness/table.md: $(DISTURBED)
+$(EXPERIMENTS)/true-poses/table.md: $(SETS:%=$(TRUE_MAPS)/%/scene.h5)
 
 # Figures 6 and 7 of the paper: the particles after the first, the middle and the last step.
 RUNS := figure-6 figure-7
@@ -55,19 +77,12 @@ $(EXPERIMENTS)/$(1)/report/report.html: $(EXPERIMENTS)/$(1)/run.h5 | $(STAMP)
 endef
 $(foreach run,$(RUNS),$(eval $(call run_rules,$(run))))
 
-# What view-dependent appearance is worth on the doors: a light field with depth at true poses.
+# What view-dependent appearance is worth on the doors.
 APPEARANCE := $(EXPERIMENTS)/view-dependence
 VIEW_DEPENDENCE := $(VENV_PYTHON) experiments/view_dependence.py
 STUDIES := $(APPEARANCE)/study/table.md
 
-$(APPEARANCE)/map/reconstruction.json: $(call images,elevators,map) $(DATA)/elevators/map/groundtruth.txt | $(STAMP)
-	$(LFNAV) reconstruct $(DATA)/elevators/map -o $(@D) --method poses \
-		--poses $(DATA)/elevators/map/groundtruth.txt --overwrite
-
-$(APPEARANCE)/scene.h5: $(APPEARANCE)/map/reconstruction.json | $(STAMP)
-	$(LFNAV) model $(<D) -o $@ --geometry depth --overwrite
-
-$(APPEARANCE)/study/table.md: $(APPEARANCE)/scene.h5 $(SETTINGS)/elevators/doors.toml \
+$(APPEARANCE)/study/table.md: $(TRUE_MAPS)/elevators/scene.h5 $(SETTINGS)/elevators/doors.toml \
 		$(call images,elevators,test) $(DATA)/elevators/test/groundtruth.txt \
 		experiments/view_dependence.py | $(STAMP)
 	$(VIEW_DEPENDENCE) $< $(SETTINGS)/elevators/doors.toml $(DATA)/elevators/test -o $(@D)
@@ -88,5 +103,5 @@ experiment-figures:
 	for run in $(RUNS); do $(VENV_PYTHON) -c "import sys; from PIL import Image; \
 		Image.open(sys.argv[1]).convert('RGB').save(sys.argv[2], quality=85)" \
 		$(EXPERIMENTS)/$$run/report/figures/overview.png docs/images/$$run.jpg; done
-	for sweep in $(SWEEPS); do for plot in success position-error convergence seconds; do \
-		cp $(EXPERIMENTS)/$$sweep/$$plot.png docs/images/$$sweep-$$plot.png; done; done
+	for plot in strategies-success strategies-convergence particles-success particles-position-error; do \
+		cp $(EXPERIMENTS)/$${plot%%-*}/$${plot#*-}.png docs/images/$$plot.png; done

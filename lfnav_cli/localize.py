@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pipelines.artifacts.progress import Progress
 
 parse_planar_start = parse_numbers(3, "X,Y,DEG")
-parse_spatial_start = parse_numbers(6, "X,Y,Z,RX,RY,RZ")
+parse_spatial_start = parse_numbers(6, "uniform, X,Y,DEG or X,Y,Z,RX,RY,RZ")
 
 
 def _parse_init(
@@ -66,8 +66,9 @@ def _missing(values: Mapping[str, Path | None]) -> click.MissingParameter:
 )
 @click.option(
     "--odometry",
-    type=click.Path(path_type=Path),
-    help="TUM file to use instead of the data set's odometry.txt.",
+    metavar="FILE|none",
+    help="TUM file to use instead of the data set's odometry.txt; none: do without, as --dof 6 and "
+    "--method pnp can.",
 )
 @click.option(
     "--area",
@@ -164,7 +165,7 @@ def command(
     output: Path | None,
     config: Path | None,
     print_config: bool,
-    odometry: Path | None,
+    odometry: str | None,
     area: tuple[float, float, float, float] | None,
     init: tuple[float, ...] | None,
     degrees_of_freedom: str | None,
@@ -239,7 +240,8 @@ def command(
         output,
         settings,
         seed=seed,
-        odometry=odometry,
+        odometry=None if odometry in (None, "none") else Path(odometry),
+        ignore_odometry=odometry == "none",
         overwrite=overwrite,
         progress=progress,
         reconstruction=reconstruction,

@@ -173,6 +173,10 @@ def no_odometry_for_a_map(place: Place) -> Refusal:
     return Refusal(place.reconstruct(), place.data / "odometry.txt", "does not exist")
 
 
+def odometry_refused(place: Place) -> Refusal:
+    return Refusal(place.localize("--odometry", "none"), Path("none"), "missing: a planar robot")
+
+
 def other_odometry_not_there(place: Place) -> Refusal:
     named = place.data / "wheels.txt"
     return Refusal(place.localize("--odometry", named), named, "does not exist")
@@ -372,6 +376,7 @@ CASES: tuple[Callable[[Place], Refusal], ...] = (
     no_odometry,
     no_odometry_for_a_map,
     no_odometry_to_stay_on_the_floor,
+    odometry_refused,
     other_odometry_not_there,
     camera_without_params,
     negative_focal_length,

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from pipelines.experiments.disturbed_drives import disturbances
 from pipelines.experiments.sweep_config import read_sweep_config
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -27,13 +28,14 @@ case $command in
     reconstruct) output=$output/reconstruction.json ;;
     report) output=$output/report.html ;;
     sweep | view-dependence) output=$output/table.md ;;
+    robustness) output=$output/disturbed.json ;;
 esac
 mkdir -p "$(dirname "$output")"
 echo made > "$output"
 """
 
 # Sweeps find out by themselves what is left to do, and are asked each time.
-SWEEPS = ["sweep", "sweep"]
+SWEEPS = ["sweep"] * 6
 
 pytestmark = pytest.mark.skipif(shutil.which("make") is None, reason="needs make")
 
@@ -79,6 +81,7 @@ class Workspace:
         }
         overrides = [f"LFNAV={self.stand_in}", "STAMP=", f"VENV_PYTHON={sys.executable}"]
         overrides.append(f"VIEW_DEPENDENCE={self.stand_in} view-dependence")
+        overrides.append(f"ROBUSTNESS={self.stand_in} robustness")
         result = subprocess.run(
             ["make", "experiments", *overrides, *arguments],
             cwd=self.root,
@@ -104,9 +107,9 @@ def built_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
     workspace = Workspace(tmp_path_factory.mktemp("workspace"))
     workspace.fill()
     calls = workspace.make()
-    # 2 maps, 2 models, 2 sweeps; 2 runs with a report each; map, model and table of the study of
-    # appearance.
-    assert len(calls) == 2 + 2 + 2 + 2 * 2 + 3
+    # 2 maps and 2 models, and the same at true poses; disturbed drives; the sweeps; 2 runs with a
+    # report each; the study of appearance.
+    assert len(calls) == 4 + 4 + 1 + len(SWEEPS) + 2 * 2 + 1
     return workspace.root
 
 
@@ -125,23 +128,34 @@ def test_nothing_changed_makes_nothing(built: Workspace) -> None:
     calls = built.make()
     assert commands(calls) == SWEEPS
     assert {call.split(" -o ")[1] for call in calls} == {
-        "out/experiments/strategies",
-        "out/experiments/particles",
+        f"out/experiments/{name}"
+        for name in (
+            "every-start",
+            "strategies",
+            "robustness",
+            "true-poses",
+            "proposals",
+            "particles",
+        )
     }
 
 
 def test_sweeps_come_after_their_scenes(built: Workspace) -> None:
     built.change("sample_data/workshop/map/rgb/0001.jpg")
     calls = built.make()
-    assert commands(calls) == ["model", "reconstruct", *SWEEPS]
-    assert [call.split()[0] for call in calls[-2:]] == SWEEPS
-    assert all("workshop" in call for call in calls[:2])
+    assert commands(calls) == sorted(["model", "reconstruct"] * 2 + SWEEPS)
+    sweeps = [number for number, call in enumerate(calls) if call.startswith("sweep")]
+    models = {call.split(" -o ")[1].split()[0]: n for n, call in enumerate(calls)}
+    assert all("workshop" in call for call in calls if not call.startswith("sweep"))
+    assert models["out/experiments/workshop/scene.h5"] < sweeps[0]
+    true_poses = models["out/experiments/true-poses"]
+    assert models["out/experiments/true-maps/workshop/scene.h5"] < true_poses
 
 
 def test_a_map_image_rebuilds_its_set_only(built: Workspace) -> None:
     built.change("sample_data/elevators/map/rgb/0001.jpg")
     calls = built.make()
-    expected = {"reconstruct": 2, "model": 2, "localize": 2, "report": 2, "sweep": 2}
+    expected = {"reconstruct": 2, "model": 2, "localize": 2, "report": 2, "sweep": len(SWEEPS)}
     expected["view-dependence"] = 1
     assert commands(calls) == sorted(name for name, n in expected.items() for _ in range(n))
     assert not [call for call in calls if "workshop" in call]
@@ -149,7 +163,8 @@ def test_a_map_image_rebuilds_its_set_only(built: Workspace) -> None:
 
 def test_a_test_image_leaves_the_map_alone(built: Workspace) -> None:
     built.change("sample_data/elevators/test/rgb/0000.jpg")
-    expected = {"localize": 2, "report": 2, "view-dependence": 1, "sweep": 2}
+    expected = {"localize": 2, "report": 2, "view-dependence": 1, "sweep": len(SWEEPS)}
+    expected["robustness"] = 1
     calls = built.make()
     assert commands(calls) == sorted(name for name, n in expected.items() for _ in range(n))
     built.change("sample_data/workshop/test/rgb/0000.jpg")
@@ -159,8 +174,8 @@ def test_a_test_image_leaves_the_map_alone(built: Workspace) -> None:
 def test_an_input_of_one_run_makes_that_run_only(built: Workspace) -> None:
     built.change("sample_data/elevators/test/odometry_perturbed.txt")
     calls = built.make()
-    assert commands(calls) == ["localize", "report", *SWEEPS]
-    assert all("/figure-7/" in call for call in calls if not call.startswith("sweep"))
+    assert commands(calls) == ["localize", "report", "robustness", *SWEEPS]
+    assert all("/figure-7/" in call for call in calls if call.startswith(("localize", "report")))
 
 
 def test_the_settings_of_a_model_do_not_touch_the_reconstruction(built: Workspace) -> None:
@@ -193,21 +208,24 @@ def test_the_configs_of_the_sweeps_are_what_they_are_given(built: Workspace) -> 
         assert (ROOT / config).is_file()
         assert Path(config).stem == Path(output).name
         content = read_sweep_config(ROOT / config)
-        assert {data.path.is_dir() for data in content.datasets} == {True}
-        files = [path for data in content.datasets for path in data.odometry if path is not None]
-        assert all(path.is_file() for path in files)
+        disturbed = {ROOT / "out/experiments/disturbed" / kind.name for kind in disturbances(20)}
+        # Drives that are made have the odometry files of the recorded one.
+        for data in content.datasets:
+            is_made = data.path.resolve() in disturbed
+            folder = ROOT / "sample_data/elevators/test" if is_made else data.path
+            files = [folder / path.name for path in data.odometry if path is not None]
+            assert len(files) == len(data.odometry)
+            assert all(path.is_file() for path in files)
         scenes = {data.scene.resolve().relative_to(ROOT) for data in content.datasets}
         assert all((built.root / scene).is_file() for scene in scenes)
 
 
 def test_ground_truth_is_no_input_of_a_map_that_is_localized_in(built: Workspace) -> None:
-    built.change("sample_data/workshop/map/groundtruth.txt")
-    assert commands(built.make()) == SWEEPS
     built.change("sample_data/elevators/map/groundtruth.txt")
     calls = built.make()
     assert commands(calls) == ["model", "reconstruct", *SWEEPS, "view-dependence"]
-    others = [call for call in calls if not call.startswith("sweep")]
-    assert all("out/experiments/view-dependence/" in call for call in others)
+    maps = [call for call in calls if call.startswith(("model", "reconstruct"))]
+    assert all(" -o out/experiments/true-maps/elevators/" in call for call in maps)
 
 
 def test_the_parts_of_a_study_are_its_own(built: Workspace) -> None:

@@ -87,6 +87,17 @@ def test_a_camera_is_found_around_the_recorded_views() -> None:
     assert radians < np.radians(0.5)
 
 
+def test_a_camera_that_is_swept_about_is_found_in_every_image() -> None:
+    # Five times as far from image to image as the random walk says.
+    chosen = informed_settings(degrees_of_freedom=6, particles=100, **NEAR)
+    camera = Localizer(SCENE, CAMERA, np.eye(4), chosen, np.random.default_rng(1))
+    for number in (0, 4, 0, 5, 1, 6, 2, 7, 3):
+        record = camera.step(IMAGES[number])
+        metres, radians = errors(record, number, "refined")
+        assert metres < 0.03
+        assert radians < np.radians(1.0)
+
+
 @pytest.mark.parametrize("strategy", ["condensation", "coarse_to_fine"])
 def test_the_other_strategies_do_six_degrees_of_freedom_too(strategy: str) -> None:
     records = follow(

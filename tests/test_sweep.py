@@ -20,8 +20,10 @@ from pipelines.experiments.sweep_inputs import program_hash
 from pipelines.experiments.sweep_plan import planned_runs
 from pipelines.experiments.sweep_store import kept_result
 from pipelines.experiments.sweep_workers import run_locally
+from pipelines.lightfield.bundle import save_scene
 from pipelines.lightfield.devices import Device, resolved_device
 from tests.chain_samples import ELEVATORS, first_frames, lfnav, map_elevators, succeed
+from tests.pnp_samples import WORKSHOP, workshop_scene
 
 # What two ways to compute the same must agree in.
 NOT_TIMES = ("success", "position_error_m", "heading_error_deg", "frames_until_converged", "frames")
@@ -218,6 +220,45 @@ def test_results_of_another_program_are_named(swept: Swept, tmp_path: Path) -> N
     assert "1 of 2 finished runs were made by another version of the program" in outcome.err
 
 
+def test_features_stand_beside_the_filter_and_are_sought_once(tmp_path: Path) -> None:
+    save_scene(tmp_path / "scene.h5", workshop_scene(), overwrite=False)
+    drive = first_frames(WORKSHOP / "test", tmp_path / "drive", 2)
+    text = """
+    [sweep]
+    seeds = 5
+    method = ["pnp", "filter"]
+    particles = 20
+    [filter]
+    start_particles = 200
+    [rendering]
+    refine_width = 0
+    [[dataset]]
+    scene = "scene.h5"
+    path = "drive"
+    odometry = ["odometry.txt", "odometry_perturbed.txt"]
+    """
+    config, output, run = tmp_path / "sweep.toml", tmp_path / "out", tmp_path / "run.h5"
+    config.write_text(text, encoding="utf-8")
+    lines = json.loads(succeed("sweep", config, "-o", output, "--processes", "1", "--json"))[
+        "lines"
+    ]
+    assert [(line["odometry"], line["method"], line["strategy"]) for line in lines] == [
+        ("odometry.txt", "pnp", None),
+        ("odometry.txt", "filter", "informed"),
+        ("odometry_perturbed.txt", "pnp", None),
+        ("odometry_perturbed.txt", "filter", "informed"),
+    ]
+    assert len(results(output)) == 3
+    assert {**lines[0], "odometry": ""} == {**lines[2], "odometry": ""}
+    options = ("--method", "pnp", "--seed", "5", "--odometry", "none")
+    succeed("localize", tmp_path / "scene.h5", drive, "-o", run, *options)
+    evaluation = json.loads(succeed("evaluate", run, "--json"))
+    assert evaluation["odometry"] is None
+    assert lines[0]["position_error_m_q50"] == evaluation["position_error_m"]["last5_mean"]
+    # The worker's time counts too: it does nearly all of the work.
+    assert lines[0]["cpu_seconds_per_frame_q50"] > evaluation["seconds_per_frame"] / 2.0
+
+
 class Deadly(dict[str, str]):
     """Ends the process that looks into it, as the system does when memory runs out."""
 
@@ -279,6 +320,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(swept: Swept, tmp_path: Path) 
     cases = {
         good + 'path = "nowhere"\n': "nowhere: does not exist",
         good + f'path = "{swept.root}/good"\nodometry = "no.txt"\n': "good/no.txt",
+        good + f'path = "{swept.root}/good"\nodometry = "none"\n': "none: is missing: a planar",
         good + f'path = "{ELEVATORS}/map/rgb"\n': "groundtruth.txt: is missing: a sweep judges",
         good.replace("scene.h5", "x.h5") + f'path = "{swept.root}/good"\n': "x.h5",
         good: "data set 1: path is missing",

@@ -8,6 +8,7 @@ from pipelines.artifacts.errors import InputError, OptionError
 from pipelines.experiments.sweep_config import parse_seeds, read_sweep_config
 from pipelines.lightfield.comparison import Cost
 from pipelines.localize.likelihood import LIKELIHOODS
+from pipelines.localize.stage import NO_ODOMETRY
 
 DATASET = '[[dataset]]\nscene = "scene.h5"\npath = "drives/lobby"\n'
 
@@ -73,6 +74,40 @@ def test_what_is_not_varied_is_the_strategys_default(tmp_path: Path) -> None:
     assert (one.seeds, [settings.particles for settings in one.settings]) == ((3,), [9])
 
 
+def test_only_what_has_a_meaning_is_combined(tmp_path: Path) -> None:
+    text = """
+    [sweep]
+    seeds = 1
+    method = ["filter", "pnp"]
+    strategy = ["condensation", "coarse_to_fine", "informed"]
+    proposal = ["appearance", "both"]
+    likelihood = ["robust", "zncc"]
+    particles = [50, 195]
+    """
+    config = read_sweep_config(written(tmp_path, text + DATASET))
+    pnp = [settings for settings in config.settings if settings.method == "pnp"]
+    found = {(s.strategy, s.proposal) for s in config.settings if s.method == "filter"}
+    assert len(pnp) == 1
+    # Two likelihoods and two numbers of particles for each.
+    assert len(config.settings) == 1 + 4 * 4
+    assert found == {
+        ("condensation", "appearance"),
+        ("coarse_to_fine", "appearance"),
+        ("informed", "appearance"),
+        ("informed", "both"),
+    }
+
+
+def test_a_drive_may_be_tried_without_its_odometry(tmp_path: Path) -> None:
+    text = "[sweep]\nseeds = 1\n" + DATASET + 'odometry = ["none", "./none", "odometry.txt"]\n'
+    (dataset,) = read_sweep_config(written(tmp_path, text)).datasets
+    assert dataset.odometry == (
+        NO_ODOMETRY,
+        tmp_path / "drives/lobby/none",
+        tmp_path / "drives/lobby/odometry.txt",
+    )
+
+
 def test_seeds_of_the_command_line_win(tmp_path: Path) -> None:
     path = written(tmp_path, '[sweep]\nseeds = "0-9"\n' + DATASET)
     assert read_sweep_config(path, "7,2").seeds == (7, 2)
@@ -109,6 +144,19 @@ def test_spans_include_both_ends() -> None:
         (f"[sweep]\nseeds = 1\n{DATASET}odometry = []\n", "data set 1: odometry is empty"),
         (f"[sweep]\nseeds = 1\n{DATASET}{DATASET}", "same name: drives/lobby is there twice"),
         ("[sweep]\nseeds = 1\nstrategy = 'magic'\n" + DATASET, r"\[sweep\]: strategy 'magic'"),
+        ("[sweep]\nseeds = 1\nmethod = 'gps'\n" + DATASET, r"\[sweep\]: method 'gps' is none of"),
+        (
+            "[sweep]\nseeds = 1\nproposal = ['pnp', 'sonar']\n" + DATASET,
+            r"\[sweep\]: proposal 'sonar' is none of appearance, pnp, both",
+        ),
+        (
+            "[sweep]\nseeds = 1\nstrategy = 'condensation'\nproposal = ['pnp', 'both']\n" + DATASET,
+            r"\[sweep\] proposal: none of the runs has a use for it; leave it out",
+        ),
+        (
+            "[sweep]\nseeds = 1\nparticles = [5, 6]\n[filter]\nmethod = 'pnp'\n" + DATASET,
+            r"\[sweep\] particles: none of the runs has a use for it",
+        ),
         ("[sweep]\nseeds = 1\nparticles = [5, 0]\n" + DATASET, r"\[sweep\]: number of particles 0"),
         ("[sweep]\nseeds = 1\nparticles = ['5']\n" + DATASET, r"\[sweep\] particles is '5', exp"),
         ("[sweep]\nseeds = 1\nlikelihood = 'l1'\n" + DATASET, r"\[sweep\] likelihood is 'l1', ex"),

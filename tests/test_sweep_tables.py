@@ -16,7 +16,8 @@ from PIL import Image
 from pipelines.artifacts.errors import InputError
 from pipelines.artifacts.json_fields import JsonFields
 from pipelines.experiments.sweep_plots import PLOTS, figure_of, write_plots
-from pipelines.experiments.sweep_run import RunResult, Setup
+from pipelines.experiments.sweep_result import RunResult
+from pipelines.experiments.sweep_run import Setup
 from pipelines.experiments.sweep_tables import Line, as_csv, as_json, as_markdown, lines_of
 
 GOOD = RunResult(
@@ -25,16 +26,28 @@ GOOD = RunResult(
     heading_error_deg=0.5,
     median_position_error_m=0.03,
     median_heading_error_deg=0.6,
+    settled_position_error_m=0.025,
+    settled_heading_error_deg=0.4,
+    close_share=0.95,
     frames_until_converged=2,
+    frames_to_recover=1,
     frames=20,
     in_95_region=0.9,
+    frames_blind=0,
+    confidence_blind=None,
+    confidence=0.8,
     cpu_seconds_per_frame=0.25,
     seconds_per_frame=0.75,
     seconds_while_searching=1.0,
     seconds_while_tracking=0.125,
 )
 WRONG = replace(
-    GOOD, success=False, position_error_m=3.0, heading_error_deg=40.0, frames_until_converged=None
+    GOOD,
+    success=False,
+    position_error_m=3.0,
+    heading_error_deg=40.0,
+    frames_until_converged=None,
+    frames_to_recover=None,
 )
 LOST = replace(
     WRONG,
@@ -42,10 +55,16 @@ LOST = replace(
     heading_error_deg=None,
     median_position_error_m=None,
     median_heading_error_deg=None,
+    settled_position_error_m=None,
+    settled_heading_error_deg=None,
+    close_share=0.0,
     in_95_region=None,
+    confidence=None,
     seconds_while_tracking=None,
 )
-HERE = Setup("lobby", "odometry.txt", "informed", "robust", 195)
+DARK = replace(GOOD, frames_blind=5, confidence_blind=0.0)
+HERE = Setup("lobby", "odometry.txt", "filter", "informed", "appearance", "robust", 195)
+PNP = Setup("lobby", "odometry.txt", "pnp", None, None, None, None)
 THERE = replace(HERE, dataset="a|b", particles=50)
 
 
@@ -98,7 +117,8 @@ def test_csv_and_json_say_the_same() -> None:
     assert (first["dataset"], first["particles"], first["runs"]) == ("lobby", 195, 3)
     assert (first["successes"], first["success_rate"]) == (2, pytest.approx(2 / 3))
     assert (first["position_error_m_q50"], first["position_error_m_q90"]) == (0.02, None)
-    assert first["in_95_region"] == 0.9
+    assert (first["in_95_region"], first["good_at_the_end"]) == (0.9, 2)
+    assert first["close_share"] == pytest.approx(1.9 / 3.0)
     assert (second["runs"], second["broken"], second["success_rate"]) == (0, 1, None)
     for row, line in zip(csv.DictReader(as_csv(LINES).splitlines()), content["lines"], strict=True):
         assert {name: value or None for name, value in row.items()} == {
@@ -111,14 +131,30 @@ def test_markdown_is_a_table_that_names_what_broke() -> None:
     rows = [line for line in text.splitlines() if line.startswith("|")]
     assert len({row.count("|") for row in rows}) == 1
     assert "| lobby | odometry.txt | informed | robust | 195 | 2 of 3 | 21 to 94 % |" in rows[2]
-    assert "| 2.0, never | 0.50, never | 2, never | 0.250 |" in rows[2]
+    assert "| 2.0, never | 0.50, never | 2.5, never | 0.40, never | 2, never |" in rows[2]
+    assert rows[2].endswith("| 2 of 3 | 1, never | 90 % | 0.250 |")
     assert "| a/b | " in rows[3]
     assert "0 of 0 (1 broke)" in rows[3]
     assert "Runs that broke: 1." in text
     assert "- a|b, seed 3: no image" in text
 
 
-@pytest.mark.parametrize("result", [GOOD, WRONG, LOST])
+def test_what_is_compared_is_named() -> None:
+    setups = (replace(HERE, proposal="both"), replace(HERE, strategy="condensation"), PNP)
+    rows = as_markdown(lines_of([(setup, GOOD) for setup in setups]), []).splitlines()[2:5]
+    assert "| informed, proposal both | robust | 195 |" in rows[0]
+    assert "| condensation | robust | 195 |" in rows[1]
+    assert "| pnp | - | - |" in rows[2]
+
+
+def test_images_that_show_nothing_have_a_table_of_their_own() -> None:
+    assert "show nothing" not in as_markdown(LINES, [])
+    text = as_markdown(lines_of([(HERE, DARK), (HERE, DARK), (PNP, GOOD)]), [])
+    assert "| lobby | odometry.txt | informed | 5.0 | 0.00 | 0.80 |" in text.splitlines()
+    assert "| lobby | odometry.txt | pnp | 0.0" not in text
+
+
+@pytest.mark.parametrize("result", [GOOD, WRONG, LOST, DARK])
 def test_results_are_read_as_they_were_written(result: RunResult) -> None:
     values = json.loads(json.dumps(result.to_dict(), allow_nan=False))
     assert RunResult.of_json(JsonFields(Path("x.json"), values)) == result
@@ -146,6 +182,13 @@ def test_figures_show_every_line(tmp_path: Path) -> None:
         "lobby\nodometry.txt",
         "a|b\nodometry.txt",
     ]
+
+
+def test_what_has_no_particles_is_a_line_across() -> None:
+    axes = figure_of(PLOTS[0], lines_of([(HERE, GOOD), (PNP, GOOD), (PNP, WRONG)])).axes[0]
+    shown = {line.get_label(): np.asarray(line.get_ydata()).tolist() for line in axes.lines}
+    assert shown == {"informed, robust": [100.0], "pnp": [50.0, 50.0]}
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["195"]
 
 
 def test_a_figure_says_when_runs_lie_beyond_it() -> None:

@@ -16,7 +16,8 @@ from pipelines.experiments.sweep_config import read_sweep_config
 from pipelines.experiments.sweep_inputs import program_hash
 from pipelines.experiments.sweep_plan import planned_runs
 from pipelines.experiments.sweep_plots import write_plots
-from pipelines.experiments.sweep_run import Outcome, RunResult, SweepRun
+from pipelines.experiments.sweep_result import RunResult
+from pipelines.experiments.sweep_run import Outcome, SweepRun
 from pipelines.experiments.sweep_store import kept_result, save_result
 from pipelines.experiments.sweep_tables import (
     Line,
@@ -105,8 +106,9 @@ def sweep(
     found = {} if overwrite else _kept(output, runs, program)
     results = dict(found)
     failures = []
-    missing = [run for run in runs if run.key not in found]
-    outcomes = _outcomes(missing, scheduler, processes)
+    # One run may stand in several lines: PnP has no use for what they differ in.
+    missing = list({run.key: run for run in reversed(runs) if run.key not in found}.values())
+    outcomes = _outcomes(missing[::-1], scheduler, processes)
     for run, outcome in progress(outcomes, "runs", len(missing)):
         if outcome.result is not None:
             save_result(output, run, outcome.result, program)
@@ -116,7 +118,8 @@ def sweep(
             _log.warning("a run broke: %s", failures[-1])
     lines = lines_of((run.setup, results.get(run.key)) for run in runs)
     _write(output, lines, failures)
-    return SweepSummary(output, lines, len(runs), len(found), tuple(failures))
+    kept = sum(run.key in found for run in runs)
+    return SweepSummary(output, lines, len(runs), kept, tuple(failures))
 
 
 def _kept(output: Path, runs: Sequence[SweepRun], program: str) -> dict[str, RunResult]:
@@ -161,5 +164,7 @@ def _write(output: Path, lines: Sequence[Line], failures: Sequence[str]) -> None
 
 def _name(run: SweepRun) -> str:
     setup = run.setup
-    parts = (setup.dataset, setup.odometry, setup.strategy, setup.likelihood)
-    return f"{', '.join(parts)}, {setup.particles} particles, seed {run.seed}"
+    parts = [setup.dataset, setup.odometry, setup.contender]
+    if setup.likelihood is not None:
+        parts += [setup.likelihood, f"{setup.particles} particles"]
+    return f"{', '.join(parts)}, seed {run.seed}"

@@ -3,7 +3,9 @@
 ```toml
 [sweep]
 seeds = "0-19"                          # or a list: [0, 1, 5]
-strategy = ["informed", "condensation"] # optional, as are the next two; a list or one value
+method = ["filter", "pnp"]              # optional, as are the next four; a list or one value
+strategy = ["informed", "condensation"]
+proposal = ["appearance", "both"]
 likelihood = ["robust", "squared"]
 particles = [50, 195, 1000]
 
@@ -11,13 +13,15 @@ particles = [50, 195, 1000]
 name = "lobby"                          # optional: what tables and figures call it
 scene = "out/scene.h5"                  # relative to this file
 path = "drives/lobby"                   # the robot's data set, with groundtruth.txt; likewise
-odometry = ["odometry.txt", "odometry_perturbed.txt"]  # optional; relative to the data set
+odometry = ["odometry.txt", "none"]     # optional; relative to the data set; "none": do without
 
 [filter]                                # these and the rest as in a config of lfnav localize
 resampling = "systematic"
 ```
 
-Every data set is run with each of its odometry files, each seed, and each combination of settings.
+Every data set is run with each of its odometry files, each seed, and each combination of settings,
+as far as they have a meaning: method ``pnp`` has neither strategy nor particles, likelihood or
+proposal, and only the strategy ``informed`` takes proposals.
 """
 
 import re
@@ -30,14 +34,27 @@ from typing import Any
 
 from pipelines.artifacts.errors import InputError, OptionError
 from pipelines.artifacts.toml_file import read_toml, type_name
-from pipelines.localize.config import check_choices, overridden, read_choices, settings_of
+from pipelines.localize.config import (
+    Choices,
+    check_choices,
+    overridden,
+    read_choices,
+    settings_of,
+)
 from pipelines.localize.config_keys import KEYS
 from pipelines.localize.settings import LocalizerSettings
+from pipelines.localize.stage import NO_ODOMETRY
 
-SWEEP_KEYS = ("seeds", "strategy", "likelihood", "particles")
 DATASET_KEYS = ("name", "scene", "path", "odometry")
 # Key of [sweep] -> the setting that it varies.
-VARIED = {"strategy": "strategy", "likelihood": "likelihood.cost", "particles": "particles"}
+VARIED = {
+    "method": "method",
+    "strategy": "strategy",
+    "proposal": "proposal",
+    "likelihood": "likelihood.cost",
+    "particles": "particles",
+}
+SWEEP_KEYS = ("seeds", *VARIED)
 MAX_RUNS = 100_000
 
 
@@ -49,7 +66,8 @@ class SweepDataset:
         name: what tables and figures call it.
         scene: scene model, absolute.
         path: the data set, absolute.
-        odometry: TUM files, absolute; None: the data set's own ``odometry.txt``, if it has one.
+        odometry: TUM files, absolute; None: the data set's own ``odometry.txt``, if it has one;
+            ``NO_ODOMETRY``, the one relative path: none, even if it has.
     """
 
     name: str
@@ -168,12 +186,28 @@ def _settings(
         _refuse_twice(path, f"[sweep] {name}", varied[field])
     combinations = []
     for combination in product(*varied.values()):
-        choices = overridden(base, dict(zip(varied, combination, strict=True)))
+        chosen = _with_a_meaning(base, dict(zip(varied, combination, strict=True)))
         try:
-            combinations.append(settings_of(choices))
+            combinations.append(settings_of(overridden(base, chosen)))
         except OptionError as error:
             raise InputError(path, f"[sweep]: {error}") from error
-    return tuple(combinations)
+    for name, field in VARIED.items():
+        key = next(key for key in KEYS if key.field == field)
+        used = {key.value_in(settings) for settings in combinations}
+        if len(varied.get(field, ())) > 1 and len(used) == 1:
+            reason = f"[sweep] {name}: none of the runs has a use for it"
+            raise InputError(path, reason, "leave it out")
+    return tuple(dict.fromkeys(combinations))
+
+
+def _with_a_meaning(base: Choices, varied: Choices) -> Choices:
+    """What is varied without that of which such a run makes no use."""
+    chosen = {**base, **varied}
+    if chosen.get("method") == "pnp":
+        return {field: value for field, value in varied.items() if field == "method"}
+    if chosen.get("strategy", LocalizerSettings.strategy) != "informed":
+        return {field: value for field, value in varied.items() if field != "proposal"}
+    return varied
 
 
 def _dataset(path: Path, place: str, table: Any) -> SweepDataset:
@@ -191,7 +225,9 @@ def _dataset(path: Path, place: str, table: Any) -> SweepDataset:
         if not all(isinstance(file, str) and file for file in files):
             raise InputError(path, f"{place}: odometry is not a list of file names")
         _refuse_twice(path, f"{place}: odometry", files)
-        odometry = tuple(_absolute(root, file) for file in files)
+        odometry = tuple(
+            NO_ODOMETRY if file == str(NO_ODOMETRY) else _absolute(root, file) for file in files
+        )
     return SweepDataset(values.get("name", "/".join(root.parts[-2:])), scene, root, odometry)
 
 

@@ -16,9 +16,10 @@ from pipelines.experiments.sweep_run import Setup, SweepRun
 from pipelines.lightfield.bundle import load_scene
 from pipelines.lightfield.devices import resolved_device
 from pipelines.localize.settings import LocalizerSettings
+from pipelines.localize.stage import NO_ODOMETRY, check_odometry
 
 # Raise it when results that were kept are no longer what would be computed now.
-RESULTS_VERSION = 2
+RESULTS_VERSION = 3
 
 
 def planned_runs(config: SweepConfig, progress: Progress) -> tuple[SweepRun, ...]:
@@ -34,6 +35,8 @@ def planned_runs(config: SweepConfig, progress: Progress) -> tuple[SweepRun, ...
         hashes = {"scene": scene_hash(dataset.scene)}
         for odometry in dataset.odometry:
             loaded = _checked_dataset(dataset, odometry)
+            for settings in config.settings:
+                check_odometry(loaded, settings, odometry or dataset.path / ODOMETRY_FILE)
             if "dataset" not in hashes:
                 hashes["dataset"] = dataset_hash(loaded)
             inputs = dict(hashes)
@@ -44,7 +47,9 @@ def planned_runs(config: SweepConfig, progress: Progress) -> tuple[SweepRun, ...
 
 
 def _checked_dataset(dataset: SweepDataset, odometry: Path | None) -> Dataset:
-    loaded = load_dataset(dataset.path, odometry=odometry)
+    loaded = load_dataset(dataset.path, odometry=None if odometry == NO_ODOMETRY else odometry)
+    if odometry == NO_ODOMETRY:
+        loaded = replace(loaded, odometry=None)
     if loaded.groundtruth is None:
         raise InputError(
             dataset.path / GROUNDTRUTH_FILE, "is missing: a sweep judges its runs by the truth"
@@ -59,15 +64,19 @@ def _runs(
         # There is a process for each processor; the number of threads changes no result. The
         # device does, in the last digits: all runs of a sweep have the same.
         settings = replace(chosen, threads=1, device=resolved_device(chosen.device))
+        # Features of single images: with each odometry it is the same run.
+        uses_odometry = odometry != NO_ODOMETRY and settings.method != "pnp"
+        used = {name: of for name, of in inputs.items() if uses_odometry or name != "odometry"}
         yield SweepRun(
             setup=_setup(dataset, odometry, settings, inputs),
             scene=dataset.scene,
             dataset=dataset.path,
-            odometry=odometry,
+            odometry=odometry if uses_odometry else None,
+            uses_odometry=uses_odometry,
             settings=settings,
             seed=seed,
-            inputs=inputs,
-            key=run_key(settings, seed, inputs),
+            inputs=used,
+            key=run_key(settings, seed, used),
         )
 
 
@@ -93,10 +102,14 @@ def _setup(
         name = odometry.name
     else:
         name = ODOMETRY_FILE if "odometry" in inputs else "none"
+    if settings.method == "pnp":
+        return Setup(dataset.name, name, settings.method, None, None, None, None)
     return Setup(
         dataset=dataset.name,
         odometry=name,
+        method=settings.method,
         strategy=settings.strategy,
+        proposal=settings.proposal if settings.strategy == "informed" else None,
         likelihood=settings.likelihood.cost.name.lower(),
         particles=settings.particles,
     )

@@ -134,14 +134,17 @@ def figure_of(plot: Plot, lines: Sequence[Line]) -> Figure:
 def _draw(axes: Axes, plot: Plot, panel: tuple[str, str], lines: Sequence[Line]) -> None:
     """One panel; all panels have the same series and numbers of particles."""
     series = list(dict.fromkeys(_series_of(line) for line in lines))
-    numbers = sorted({line.setup.particles for line in lines})
+    numbers = sorted({n for line in lines if (n := line.setup.particles) is not None})
     top = axes.get_ylim()[1]
     for place, name in enumerate(series):
         colour, marker = SERIES_STYLES[place % len(SERIES_STYLES)]
         offset = SPREAD * ((place + 0.5) / len(series) - 0.5)
         own = [line for line in lines if _panel_of(line) == panel and _series_of(line) == name]
-        own.sort(key=lambda line: line.setup.particles)
-        x = np.array([numbers.index(line.setup.particles) + offset for line in own])
+        if all(line.setup.particles is None for line in own):
+            _draw_across(axes, [plot.span(line) for line in own], colour, name)
+            continue
+        own.sort(key=lambda line: line.setup.particles or 0)
+        x = np.array([numbers.index(line.setup.particles or 0) + offset for line in own])
         spans = np.array([plot.span(line) for line in own]).reshape(-1, 3)
         low, middle, high = np.where(np.isposinf(spans), top, spans).T
         axes.vlines(x, low, high, color=colour)
@@ -154,6 +157,15 @@ def _draw(axes: Axes, plot: Plot, panel: tuple[str, str], lines: Sequence[Line])
     axes.set_xlabel("particles")
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(axis="y", linewidth=0.4, alpha=0.6)
+
+
+def _draw_across(axes: Axes, spans: Sequence[Span], colour: str, name: str) -> None:
+    """What has no particles is the same for any number of them: a line with a band."""
+    top = axes.get_ylim()[1]
+    for low, middle, high in spans or [(math.nan, math.nan, math.nan)]:
+        if math.isfinite(low):
+            axes.axhspan(low, min(high, top), color=colour, alpha=0.15, linewidth=0.0)
+        axes.axhline(min(middle, top), color=colour, linestyle="--", linewidth=1.0, label=name)
 
 
 def _limits(plot: Plot, lines: Sequence[Line]) -> tuple[float, float]:
@@ -176,4 +188,5 @@ def _panel_of(line: Line) -> tuple[str, str]:
 
 
 def _series_of(line: Line) -> str:
-    return f"{line.setup.strategy}, {line.setup.likelihood}"
+    likelihood = line.setup.likelihood
+    return line.setup.contender + ("" if likelihood is None else f", {likelihood}")

@@ -9,7 +9,8 @@ from pipelines.artifacts.atomic import write_text
 from pipelines.artifacts.errors import InputError
 from pipelines.artifacts.file_content import is_file
 from pipelines.artifacts.json_fields import JsonFields, read_json_object
-from pipelines.experiments.sweep_run import RunResult, SweepRun
+from pipelines.experiments.sweep_result import RunResult
+from pipelines.experiments.sweep_run import SweepRun
 
 RUN_FOLDER = "runs"
 FORMAT = "lfnav sweep run"

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest
 
-from pipelines.experiments.sweep_run import RunResult, Setup
+from pipelines.experiments.sweep_result import RunResult
+from pipelines.experiments.sweep_run import Setup
 
 CONFIDENCE = 0.95
 # The share of runs that are no worse.
@@ -20,12 +21,17 @@ QUANTILES = (0.1, 0.5, 0.9)
 MEASURES = (
     "position_error_m",
     "heading_error_deg",
+    "settled_position_error_m",
+    "settled_heading_error_deg",
     "frames_until_converged",
+    "frames_to_recover",
     "cpu_seconds_per_frame",
     "seconds_per_frame",
     "seconds_while_searching",
     "seconds_while_tracking",
 )
+# Measures of which it has the mean over the runs.
+MEANS = ("in_95_region", "close_share", "frames_blind", "confidence", "confidence_blind")
 
 
 @dataclass(frozen=True)
@@ -78,10 +84,14 @@ class Line:
         return float(np.quantile(known, share, method="inverted_cdf"))
 
     @property
-    def in_95_region(self) -> float:
-        """Mean over the runs of the share of frames with the truth in the stated region."""
-        shares = [result.in_95_region for result in self.results]
-        known = [share for share in shares if share is not None]
+    def good_at_the_end(self) -> int:
+        """How many runs were good in their last frame: found again, if they were ever lost."""
+        return sum(result.frames_to_recover is not None for result in self.results)
+
+    def mean(self, measure: str) -> float:
+        """Mean over the runs that have a value; NaN where none has."""
+        values = [getattr(result, measure) for result in self.results]
+        known = [float(value) for value in values if value is not None]
         return float(np.mean(known)) if known else math.nan
 
     def to_dict(self) -> dict[str, Any]:
@@ -96,13 +106,14 @@ class Line:
                 for measure in MEASURES
                 for share in QUANTILES
             },
-            "in_95_region": self.in_95_region,
+            **{measure: self.mean(measure) for measure in MEANS},
         }
         return {
             **asdict(self.setup),
             "runs": len(self.results),
             "broken": self.broken,
             "successes": self.successes,
+            "good_at_the_end": self.good_at_the_end,
             **{name: value if math.isfinite(value) else None for name, value in figures.items()},
         }
 
@@ -141,15 +152,37 @@ def as_json(lines: Sequence[Line], failures: Sequence[str]) -> str:
 HEADINGS = (
     "data set",
     "odometry",
-    "strategy",
+    "method",
     "likelihood",
     "particles",
     "success",
     "95 % interval",
     "position (cm)",
     "heading (deg)",
+    "settled (cm)",
+    "settled (deg)",
     "frames until converged",
+    "good at the end",
+    "frames to recover",
+    "in 95 % region",
     "CPU s a frame",
+)
+EXPLANATION = (
+    "A run succeeds when its errors, averaged over the last five frames, are below 0.15 m and 3 "
+    "degrees; the interval is Wilson's. Position and heading: such an average, as median and 90th "
+    "percentile of the runs; settled: the median error from the fifth frame on, likewise. "
+    "Converged: frames before the first from which the estimate stays within these bounds. Good "
+    "at the end: within them in the last frame; to recover: how long the estimate was outside of "
+    "them in between. In 95 % region: frames after convergence whose truth lies where the stated "
+    "covariance says, mean of the runs. CPU seconds: processor time of all, median of the runs."
+)
+BLIND_HEADINGS = (
+    "data set",
+    "odometry",
+    "method",
+    "images that show nothing",
+    "highest confidence there",
+    "median confidence elsewhere",
 )
 
 
@@ -160,17 +193,11 @@ def rows_for_people(lines: Sequence[Line]) -> list[tuple[str, ...]]:
 
 def as_markdown(lines: Sequence[Line], failures: Sequence[str]) -> str:
     """The same as a table, with an explanation, and the runs that broke."""
-    alignment = ["---"] * 4 + ["---:"] * (len(HEADINGS) - 4)
-    rows = rows_for_people(lines)
-    text = [_markdown_row(rows[0]), _markdown_row(alignment), *map(_markdown_row, rows[1:])]
-    text += [
-        "",
-        "A run succeeds when its errors, averaged over the last five frames, are below 0.15 m and "
-        "3 degrees; the interval is Wilson's. Position and heading: such an average, as median and "
-        "90th percentile of the runs. Converged: frames before the first from which the estimate "
-        "stays within these bounds, likewise. CPU seconds: processor time of all, median of the "
-        "runs.",
-    ]
+    text = [*_markdown_table(rows_for_people(lines), texts=4), "", EXPLANATION]
+    blind = [_blind_row(line) for line in lines if line.mean("frames_blind") > 0.0]
+    if blind:
+        text += ["", *_markdown_table([BLIND_HEADINGS, *blind], texts=3)]
+        text += ["", "How many images were found to show nothing: means of the runs."]
     if failures:
         text += ["", f"Runs that broke: {len(failures)}.", "", *(f"- {item}" for item in failures)]
     return "\n".join(text) + "\n"
@@ -178,23 +205,44 @@ def as_markdown(lines: Sequence[Line], failures: Sequence[str]) -> str:
 
 def _row(line: Line) -> tuple[str, ...]:
     low, high = line.interval
-    setup = line.setup
-    success = f"{line.successes} of {len(line.results)}"
+    setup, runs = line.setup, len(line.results)
+    success = f"{line.successes} of {runs}"
     if line.broken:
         success += f" ({line.broken} broke)"
     return (
         setup.dataset,
         setup.odometry,
-        setup.strategy,
-        setup.likelihood,
-        str(setup.particles),
+        setup.contender,
+        setup.likelihood or "-",
+        "-" if setup.particles is None else str(setup.particles),
         success,
         f"{100.0 * low:.0f} to {100.0 * high:.0f} %",
         _two(line, "position_error_m", 100.0, 1),
         _two(line, "heading_error_deg", 1.0, 2),
+        _two(line, "settled_position_error_m", 100.0, 1),
+        _two(line, "settled_heading_error_deg", 1.0, 2),
         _two(line, "frames_until_converged", 1.0, 0),
+        f"{line.good_at_the_end} of {runs}",
+        _two(line, "frames_to_recover", 1.0, 0),
+        _share(line.mean("in_95_region")),
         _figure(line.quantile("cpu_seconds_per_frame", 0.5), 3),
     )
+
+
+def _blind_row(line: Line) -> tuple[str, ...]:
+    setup = line.setup
+    return (
+        setup.dataset,
+        setup.odometry,
+        setup.contender,
+        _figure(line.mean("frames_blind"), 1),
+        _figure(line.mean("confidence_blind"), 2),
+        _figure(line.mean("confidence"), 2),
+    )
+
+
+def _share(value: float) -> str:
+    return "-" if math.isnan(value) else f"{100.0 * value:.0f} %"
 
 
 def _two(line: Line, measure: str, factor: float, digits: int) -> str:
@@ -207,6 +255,12 @@ def _figure(value: float, digits: int) -> str:
     if math.isnan(value):
         return "-"
     return "never" if math.isinf(value) else f"{value:.{digits}f}"
+
+
+def _markdown_table(rows: Sequence[tuple[str, ...]], texts: int) -> list[str]:
+    """Lines of a table whose first columns hold texts, the others numbers; headings first."""
+    alignment = ("---",) * texts + ("---:",) * (len(rows[0]) - texts)
+    return [_markdown_row(row) for row in (rows[0], alignment, *rows[1:])]
 
 
 def _markdown_row(cells: Sequence[str]) -> str:

@@ -48,6 +48,9 @@ UNDECIDED_SHARE = 0.05
 UNDECIDED_MODE_SHARE = 0.95
 # The share when there is a reason to doubt all that was believed.
 CARRIED_SHARE = 0.5
+# Where nobody knows the motion, the next image may come from anywhere: a hand turns a camera by
+# half its view in a moment. Then there is always a search, though for fewer places.
+UNKNOWN_MOTION_SHARE, UNKNOWN_MOTION_SEARCHED = 0.1, 8
 # The proposal is this much wider than the likelihood, and never narrower than metres and radians.
 WIDENING = 1.5
 SMALLEST_POSITION, SMALLEST_ANGLE = 0.005, math.radians(0.15)
@@ -102,6 +105,11 @@ class Informed:
     def _space(self) -> StateSpace:
         return self._comparison.space
 
+    @property
+    def _is_walking(self) -> bool:
+        """Whether a belief is carried on by a random walk."""
+        return self._belief is not None and self._increment is None
+
     def update(
         self,
         observations: Observations,
@@ -118,6 +126,9 @@ class Informed:
         if observations.is_blind:
             self._belief = self._unseen(prediction)
             return self._belief
+        if self._is_walking:
+            share = max(UNKNOWN_MOTION_SHARE, prediction.anywhere_share)
+            prediction = replace(prediction, anywhere_share=share)
         if observations.uncovers and prediction.anywhere_share < CARRIED_SHARE:
             # What was concluded from a view that was partly hidden may be wrong.
             prediction = replace(prediction, anywhere_share=CARRIED_SHARE)
@@ -216,9 +227,16 @@ class Informed:
     def _count(self, prediction: Prediction) -> int:
         settings = self._settings
         largest = max(settings.particles, min(SEARCH_FACTOR * settings.particles, ENOUGH_PARTICLES))
-        if self._belief is None or prediction.anywhere_share > 0.0:
-            return largest if prediction.anywhere_share > 0.0 else settings.particles
+        if self._searches(prediction):
+            return largest
+        if self._belief is None:
+            return settings.particles
         return min(largest, next_count(self._belief, settings.particles, 0.0))
+
+    def _searches(self, prediction: Prediction) -> bool:
+        """Whether there is a reason to look everywhere, and not only that the motion is unknown."""
+        usual = UNKNOWN_MOTION_SHARE if self._is_walking else 0.0
+        return prediction.anywhere_share > usual
 
     def _proposal(self, prediction: Prediction, observations: Observations) -> Proposal | None:
         """Normal distributions around hypotheses that were aligned with the image."""
@@ -259,11 +277,12 @@ class Informed:
             modes = find_modes(moved, minimum_share=FOLLOWED_SHARE)[:FOLLOWED]
             found = np.concatenate([found, np.stack([mode.state for mode in modes])])
         if prediction.anywhere_share > 0.0 and self._settings.proposal != "pnp":
-            found = np.concatenate([found, self._lookalikes(observations)])
+            count = SEARCHED if self._searches(prediction) else UNKNOWN_MOTION_SEARCHED
+            found = np.concatenate([found, self._lookalikes(observations, count)])
         return found
 
-    def _lookalikes(self, observations: Observations) -> FloatArray:
-        """States ``(K, D)`` all over the region from which the scene looks like the image."""
+    def _lookalikes(self, observations: Observations, count: int) -> FloatArray:
+        """States ``(count, D)`` all over the region from which the scene looks like the image."""
         observation = observations.by_width[self._settings.coarse_width]
         if self._index is None:
             self._index = build_index(
@@ -274,7 +293,7 @@ class Informed:
                 self._places(),
             )
         costs = self._index.costs(observation)
-        best = best_distinct(self._space, self._index.states, costs, SEARCHED)
+        best = best_distinct(self._space, self._index.states, costs, count)
         return self._index.states[best]
 
     def _places(self) -> FloatArray:

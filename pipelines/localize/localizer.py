@@ -45,7 +45,7 @@ TRACKING_SHARE = 0.9
 TRACKING_POSITION, TRACKING_HEADING = 0.35, math.radians(10.0)
 # Errors of the model (reflections, a surface that is not quite there) reach farther than a tile of
 # the image: the alignment's standard deviations times this cover the truth as often as they should.
-MODEL_ERROR = 3.0
+MODEL_ERROR = 3.3
 # Photos are kept at so many times the width of the finest comparison.
 VIEW_RESOLUTION_FACTOR = 4
 # A hand-held camera may be so many metres from where the recorded views were.

@@ -38,6 +38,9 @@ from pipelines.reconstruct.reconstruction import (
     load_reconstruction,
 )
 
+# How errors name the odometry of a run that is to do without.
+NO_ODOMETRY = Path("none")
+
 
 def localize(
     scene_path: Path,
@@ -50,6 +53,7 @@ def localize(
     overwrite: bool,
     progress: Progress,
     reconstruction: Path | None = None,
+    ignore_odometry: bool = False,
 ) -> RunSummary:
     """Localizes the robot in every frame of a data set and writes the run.
 
@@ -63,6 +67,7 @@ def localize(
         overwrite: whether an existing file may be replaced.
         progress: told how far the work is.
         reconstruction: folder of the scene's reconstruction, whose points PnP then uses.
+        ignore_odometry: whether to do without the data set's own.
 
     Raises:
         InputError: an input cannot be used, or the output not be written.
@@ -76,10 +81,14 @@ def localize(
     scene = load_scene(scene_path)
     points = None if reconstruction is None else load_reconstruction(reconstruction)
     dataset = load_dataset(dataset_path, odometry=odometry)
+    if ignore_odometry:
+        dataset = replace(dataset, odometry=None)
     if settings.method == "filter":
         # The file says where it was computed: another device rounds differently.
         settings = replace(settings, device=resolved_device(settings.device))
     source = odometry if odometry is not None else dataset_path / ODOMETRY_FILE
+    if ignore_odometry:
+        source = NO_ODOMETRY
     inputs = {"scene": scene.identifier}
     if dataset.odometry is not None:
         inputs["odometry"] = sha256_of_file(source)
@@ -133,12 +142,7 @@ def localize_dataset(
     """
     space = settings.state_space
     camera, mount = _camera_and_mount(dataset, space)
-    if dataset.odometry is None and space.angles == 1 and settings.method == "filter":
-        raise InputError(
-            odometry_source,
-            "is missing: a planar robot is localized with odometry",
-            "give the file with --odometry",
-        )
+    check_odometry(dataset, settings, odometry_source)
     body_poses = None
     if dataset.odometry is not None:
         body_poses = poses_at_images(dataset, dataset.odometry, odometry_source)
@@ -180,6 +184,21 @@ def localize_dataset(
         groundtruth=_groundtruth_states(dataset, space),
         provenance=record,
     )
+
+
+def check_odometry(dataset: Dataset, settings: LocalizerSettings, source: Path) -> None:
+    """Refuses to filter a planar robot's drive without odometry.
+
+    Raises:
+        InputError: there is none; ``source`` is named.
+    """
+    is_planar = settings.state_space.angles == 1
+    if dataset.odometry is None and is_planar and settings.method == "filter":
+        raise InputError(
+            source,
+            "is missing: a planar robot is localized with odometry",
+            "give the file with --odometry",
+        )
 
 
 def _locator(
