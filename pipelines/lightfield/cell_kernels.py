@@ -329,7 +329,6 @@ def _blend_chunk(
             coefficients,
             np.float32(nearest),
             np.float32(farthest),
-            np.int32(level_start[view, level]),
             np.int32(level_size[view, level, 0]),
             np.int32(level_size[view, level, 1]),
             np.float32(full_width),
@@ -348,7 +347,7 @@ def _blend_chunk(
                     full_width,
                     full_height,
                 )
-            width = np.int32(level_size[view, level, 0])
-            add_samples(scratch, offsets, pixels, first, count, texels, width, image)
+            start, width = level_start[view, level], level_size[view, level, 0]
+            add_samples(scratch, offsets, pixels, first, count, texels, start, width, image)
         if elsewhere == 0:
             break

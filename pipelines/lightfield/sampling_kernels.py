@@ -160,7 +160,6 @@ def place_samples(
     coefficients: Float32Array,
     nearest: np.float32,
     farthest: np.float32,
-    start: np.int32,
     width: np.int32,
     height: np.int32,
     full_width: np.float32,
@@ -170,12 +169,11 @@ def place_samples(
 
     Args:
         scratch: (SCRATCH_SIZE,); the first four rows are read, the others written.
-        offsets: (CHUNK,) int32 receives the index of each point's upper left texel.
+        offsets: (CHUNK,) int32 receives the index of each point's upper left texel in the level.
         count: pixels of the chunk, a multiple of ``LANES``.
         coefficients: see ``chunk_coefficients``.
         nearest: depths, relative to the virtual one, in (nearest, farthest] belong to the level.
         farthest: see there.
-        start: index of the level's first texel.
         width: of the level, and
         height: likewise.
         full_width: of the view's finest level, and
@@ -220,7 +218,7 @@ def place_samples(
         u = min(max((u + HALF) * scale_x - HALF, ZERO), last_x)
         v = min(max((v + HALF) * scale_y - HALF, ZERO), last_y)
         left, top = np.int32(min(u, last_left)), np.int32(min(v, last_top))
-        offsets[i] = start + top * width + left
+        offsets[i] = top * width + left
         scratch[i + FRACTION] = u - np.float32(left)
         lower = weight * (v - np.float32(top))
         scratch[i + LOWER] = lower
@@ -298,26 +296,29 @@ def add_samples(
     first: int,
     count: int,
     texels: ImageArray,
-    width: np.int32,
+    start: int,
+    width: int,
     image: Float32Array,
 ) -> None:
     """Adds a chunk's weighted colours to its pixels.
 
     Args:
         scratch: as the steps before left it.
-        offsets: (CHUNK,) int32 index of each point's upper left texel.
+        offsets: (CHUNK,) int32 index of each point's upper left texel in the level.
         pixels: (P,) int32 pixels in the order of their cells.
         first: the chunk's first in that order.
         count: pixels of the chunk.
-        texels: (T, 4).
-        width: of the pyramid level.
+        texels: (T, 4); there may be more than 32 bits can count.
+        start: index of the level's first texel.
+        width: of the level.
         image: (P, 4) sums of weighted colours and of 255 times the weights, changed.
     """
     for i in range(np.uintp(count)):
+        upper = start + np.int64(offsets[i])
         add_texels(
             texels,
-            offsets[i],
-            offsets[i] + width,
+            upper,
+            upper + width,
             scratch[i + FRACTION],
             scratch[i + UPPER],
             scratch[i + LOWER],
