@@ -14,6 +14,7 @@ from pipelines.artifacts.errors import LfnavError, OptionError
 from pipelines.dock.alignment import FineAlignment
 from pipelines.dock.blockage import Moment, moment_of, stood_still
 from pipelines.dock.clearance import Clearance
+from pipelines.dock.contradiction import Doubt, contradicts
 from pipelines.dock.exploration import Explorer
 from pipelines.dock.fix import Fix, fix_of
 from pipelines.dock.geometry import distance_between, position_sigma
@@ -191,6 +192,7 @@ class _Loop:
         self._entries: list[Entry] = []
         self._memory = Memory()
         self._smoother = Smoother()
+        self._doubt = Doubt()
         self._began = time.monotonic()
         self._filter_seconds = 0.0
 
@@ -206,6 +208,12 @@ class _Loop:
             frame, fix = self._fixed(frame, image, measured)
             now = moment_of(image, fix)
             still = before is not None and stood_still(command, measured, before, now)
+            if before is not None and self._doubt(
+                not still and contradicts(measured, before.fix, fix)
+            ):
+                self._localizer, self._lost_images = self._searching(), 0
+                fix = replace(fix, is_sure=False)
+                now = replace(now, fix=fix)
             decision = self._pilot.decide(self._memory, fix, still, measured)
             outcome = decision.outcome or self._exhausted()
             state = Phase.FINISHED if outcome is not None else decision.memory.phase
