@@ -101,7 +101,7 @@ experiments: $(TABLES) $(REPORTS) $(STUDIES)
 # The pictures of docs/experiments.md, from the results that lie there.
 experiment-figures:
 	for run in $(RUNS); do $(VENV_PYTHON) -c "import sys; from PIL import Image; \
-		Image.open(sys.argv[1]).convert('RGB').save(sys.argv[2], quality=85)" \
+		Image.open(sys.argv[1]).convert('RGB').save(sys.argv[2], quality=60)" \
 		$(EXPERIMENTS)/$$run/report/figures/overview.png docs/images/$$run.jpg; done
 	for plot in strategies-success strategies-convergence particles-success particles-position-error; do \
 		cp $(EXPERIMENTS)/$${plot%%-*}/$${plot#*-}.png docs/images/$$plot.png; done
