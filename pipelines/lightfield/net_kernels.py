@@ -246,11 +246,42 @@ def _label_outside(
         cell_weights[strip, 0, 0], cell_weights[strip, 0, 1] = -dx / squared, -dy / squared
         cell_weights[strip, 0, 2] = 1.0 - cell_weights[strip, 1, 2]
         cell_weights[wedge, 0, 2] = 1.0
+    width = label.shape[1]
     for y in range(label.shape[0]):
-        for x in range(label.shape[1]):
-            if label[y, x] < 0:
-                label[y, x] = cells + _nearest_border(points, hull, float(x), float(y))
+        x = 0
+        while x < width:
+            if label[y, x] >= 0:
+                x += 1
+                continue
+            gap = x + 1
+            while gap < width and label[y, gap] < 0:
+                gap += 1
+            while x < gap:
+                own = _nearest_border(points, hull, float(x), float(y))
+                last = _end_of_region(points, hull, own, x, gap, y)
+                label[y, x:last] = cells + own
+                x = last
     return cells + 2 * edges
+
+
+@compiled_leaf
+def _end_of_region(
+    points: FloatArray, hull: IntArray, own: int, first: int, gap: int, y: int
+) -> int:
+    """The column behind the last in [first, gap) that is nearest to the same part of the hull.
+
+    Strips and wedges are convex: what lies between two pixels of one is of it too.
+    """
+    if _nearest_border(points, hull, float(gap - 1), float(y)) == own:
+        return gap
+    inside, outside = first, gap - 1
+    while outside - inside > 1:
+        middle = (inside + outside) // 2
+        if _nearest_border(points, hull, float(middle), float(y)) == own:
+            inside = middle
+        else:
+            outside = middle
+    return outside
 
 
 @compiled_leaf
