@@ -122,6 +122,24 @@ def _start(scratch: Float32Array, best: Int32Array) -> None:
 
 
 @compiled_loop
+def _deviation(
+    scratch: Float32Array, i: int, x: np.float32, y: np.float32, z: np.float32
+) -> tuple[np.float32, np.float32]:
+    """How far a point's ray from a place is from that of the virtual camera, and the distance.
+
+    The former as the square of the chord between unit vectors: no cosine near 1 whose digits would
+    be lost.
+    """
+    rx, ry, rz = scratch[PX + i] - x, scratch[PY + i] - y, scratch[PZ + i] - z
+    distance = np.sqrt(rx * rx + ry * ry + rz * rz)
+    shrink = ONE / distance
+    ex = rx * shrink - scratch[VX + i]
+    ey = ry * shrink - scratch[VY + i]
+    ez = rz * shrink - scratch[VZ + i]
+    return ex * ex + ey * ey + ez * ez, distance
+
+
+@compiled_loop
 def _count_open(scratch: Float32Array, spheres: Float32Array, group: int) -> np.float32:
     """For how many points a group may hold a view that is better than the last of their best.
 
@@ -130,13 +148,8 @@ def _count_open(scratch: Float32Array, spheres: Float32Array, group: int) -> np.
     x, y, z, radius = spheres[group, 0], spheres[group, 1], spheres[group, 2], spheres[group, 3]
     count = ZERO
     for i in range(POINTS):
-        rx, ry, rz = scratch[PX + i] - x, scratch[PY + i] - y, scratch[PZ + i] - z
-        distance = np.sqrt(rx * rx + ry * ry + rz * rz)
-        shrink = ONE / distance
-        ex = rx * shrink - scratch[VX + i]
-        ey = ry * shrink - scratch[VY + i]
-        ez = rz * shrink - scratch[VZ + i]
-        chord = np.sqrt(ex * ex + ey * ey + ez * ez)
+        squared, distance = _deviation(scratch, i, x, y, z)
+        chord = np.sqrt(squared)
         slack = TWO * radius / max(TWO * distance - radius, ROUNDING * radius)
         bound = chord - slack - ROUNDING
         count += ONE if bound < scratch[BEST + (RANKS - 1) * POINTS + i] else ZERO
@@ -149,22 +162,15 @@ def _count_nearer(scratch: Float32Array, numbers: Float32Array, row: int) -> np.
     cx, cy, cz = numbers[row, 12], numbers[row, 13], numbers[row, 14]
     count = ZERO
     for i in range(POINTS):
-        rx, ry, rz = scratch[PX + i] - cx, scratch[PY + i] - cy, scratch[PZ + i] - cz
-        shrink = ONE / np.sqrt(rx * rx + ry * ry + rz * rz)
-        ex = rx * shrink - scratch[VX + i]
-        ey = ry * shrink - scratch[VY + i]
-        ez = rz * shrink - scratch[VZ + i]
+        squared, _ = _deviation(scratch, i, cx, cy, cz)
         worst = scratch[BEST + (RANKS - 1) * POINTS + i] + ROUNDING
-        count += ONE if ex * ex + ey * ey + ez * ez <= worst * worst else ZERO
+        count += ONE if squared <= worst * worst else ZERO
     return count
 
 
 @compiled_loop
 def _set_penalties(scratch: Float32Array, numbers: Float32Array, row: int) -> None:
-    """Writes a view's penalty at each point; infinite where it does not show the point.
-
-    The angle is the chord between unit vectors: no cosine near 1 whose digits would be lost.
-    """
+    """Writes a view's penalty at each point; infinite where it does not show the point."""
     a0, a1, a2, a3 = numbers[row, 0], numbers[row, 1], numbers[row, 2], numbers[row, 3]
     b0, b1, b2, b3 = numbers[row, 4], numbers[row, 5], numbers[row, 6], numbers[row, 7]
     c0, c1, c2, c3 = numbers[row, 8], numbers[row, 9], numbers[row, 10], numbers[row, 11]
@@ -176,13 +182,8 @@ def _set_penalties(scratch: Float32Array, numbers: Float32Array, row: int) -> No
         reciprocal = ONE / depth
         u = (a0 * px + a1 * py + a2 * pz + a3) * reciprocal
         v = (b0 * px + b1 * py + b2 * pz + b3) * reciprocal
-        rx, ry, rz = px - cx, py - cy, pz - cz
-        recorded = np.sqrt(rx * rx + ry * ry + rz * rz)
-        shrink = ONE / recorded
-        ex = rx * shrink - scratch[VX + i]
-        ey = ry * shrink - scratch[VY + i]
-        ez = rz * shrink - scratch[VZ + i]
-        own = np.sqrt(ex * ex + ey * ey + ez * ez)
+        squared, recorded = _deviation(scratch, i, cx, cy, cz)
+        own = np.sqrt(squared)
         own += RESOLUTION * max(recorded * scratch[NEARNESS + i] - ONE, ZERO)
         margin = min(u + HALF, right - u, v + HALF, bottom - v)
         own += BORDER * max(strip / max(margin, MARGIN * strip) - ONE, ZERO)
