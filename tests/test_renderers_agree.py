@@ -10,7 +10,7 @@ from pipelines.artifacts.array_types import FloatArray
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
 from pipelines.geometry.pose import base_from_camera_mount, world_from_base_planar
-from pipelines.lightfield.blending import Blending
+from pipelines.lightfield.blending import MOST_RANKED, Blending
 from pipelines.lightfield.proxy import Quality, plane_inverse_depth
 from pipelines.lightfield.reference import render_reference, view_mappings
 from pipelines.lightfield.renderer import Renderer
@@ -53,6 +53,12 @@ def general(generator: np.random.Generator) -> LightField:
 
 def many(generator: np.random.Generator) -> LightField:
     centres = np.array([somewhere(generator, 2.0, 4.0) for _ in range(40)])
+    return light_field(generator, centres, somewhere(generator, 1.5, 5.0))
+
+
+def crowd(generator: np.random.Generator) -> LightField:
+    """More views than are ranked at every corner."""
+    centres = np.array([somewhere(generator, 2.0, 4.0) for _ in range(MOST_RANKED + 30)])
     return light_field(generator, centres, somewhere(generator, 1.5, 5.0))
 
 
@@ -136,6 +142,7 @@ def grazing(generator: np.random.Generator) -> LightField:
 ARRANGEMENTS: tuple[Callable[[np.random.Generator], LightField], ...] = (
     general,
     many,
+    crowd,
     collinear,
     mirrored,
     amid,
@@ -259,7 +266,9 @@ def test_random_scenes_with_depth(blending: Blending, quality: Quality) -> None:
     coverage = []
     for number in range(14):
         generator = np.random.default_rng([19, number])
-        arrangement = (general, robot, mirrored, amid, coincident, one_view, many)[number % 7]
+        arrangement = (general, robot, mirrored, amid, coincident, one_view, many, crowd)[
+            number % 8
+        ]
         views, plane, pose = arrangement(generator)
         known = (1.0, 0.7, 0.2)[number % 3]
         camera = RESOLUTIONS[number % len(RESOLUTIONS)]

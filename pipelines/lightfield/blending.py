@@ -8,6 +8,10 @@ the next one takes over. Views that do not show the point, because it lies outsi
 behind something nearer, are not ranked; the border's penalty grows without bound, so that no weight
 jumps where an image ends. As there, this is done at the corners of a coarse grid in the virtual
 image, and the weights are interpolated in between.
+
+Of a large light field most views are nowhere near the best. So with more than ``MOST_RANKED`` views
+the best at a few points all over the image are found first, and the corners choose among those:
+what a corner misses by that is a view that is the best for it, but not for any point around it.
 """
 
 from enum import IntEnum
@@ -33,6 +37,10 @@ FEWEST_TILES, MOST_TILES = 6, 40
 VIEWS_PER_CORNER = 3
 # A tile blends the views of its four corners.
 VIEWS_PER_TILE = 4 * VIEWS_PER_CORNER
+# So many views are ranked at every corner. Of more, those are that are among the best at any of so
+# many points across and down.
+MOST_RANKED = 64
+OUTLOOK_POINTS = 4
 # Cost of a view at twice the distance, in radians of viewing angle.
 RESOLUTION_PENALTY = 0.05
 # The penalty of the border begins at this share of the shorter side from it, and is so many radians
@@ -58,6 +66,11 @@ def tile_borders(size: int) -> IntArray:
     """Pixel columns (or rows) ``(tiles + 1,)`` on which the tiles' corners lie."""
     tiles = tile_count(size)
     return np.minimum(np.arange(tiles + 1) * size // tiles, size - 1)
+
+
+def outlook_positions(size: int) -> IntArray:
+    """Pixel columns (or rows) ``(OUTLOOK_POINTS,)`` of the points that narrow many views down."""
+    return np.arange(OUTLOOK_POINTS) * (size - 1) // (OUTLOOK_POINTS - 1)
 
 
 def occluded(views: Views, view: int, target: FloatArray, surface: FloatArray) -> BoolArray:
@@ -109,22 +122,29 @@ def unstructured_weights(
     Returns:
         Views and weights ``(H, W, VIEWS_PER_TILE)``; all zero where no corner sees any view.
     """
-    columns = tile_borders(intrinsics.width)
-    rows = tile_borders(intrinsics.height)
-    at_corner = np.zeros((len(rows), len(columns), len(views)))
-    for i, row in enumerate(rows):
-        for j, column in enumerate(columns):
-            if surface[row, column] > 0.0:
-                at_corner[i, j] = _corner_weights(
-                    views,
-                    usable,
-                    maps,
-                    shifts,
-                    float(surface[row, column]),
-                    np.array([column, row, 1.0]),
-                    world_from_camera,
-                    intrinsics,
-                )
+
+    def weights_at(columns: IntArray, rows: IntArray, usable: BoolArray) -> FloatArray:
+        found = np.zeros((len(rows), len(columns), len(views)))
+        for i, row in enumerate(rows):
+            for j, column in enumerate(columns):
+                if surface[row, column] > 0.0:
+                    found[i, j] = _corner_weights(
+                        views,
+                        usable,
+                        maps,
+                        shifts,
+                        float(surface[row, column]),
+                        np.array([column, row, 1.0]),
+                        world_from_camera,
+                        intrinsics,
+                    )
+        return found
+
+    if usable.sum() > MOST_RANKED:
+        outlook = [outlook_positions(size) for size in (intrinsics.width, intrinsics.height)]
+        usable = usable & weights_at(outlook[0], outlook[1], usable).any(axis=(0, 1))
+    columns, rows = tile_borders(intrinsics.width), tile_borders(intrinsics.height)
+    at_corner = weights_at(columns, rows, usable)
     shape = (intrinsics.height, intrinsics.width, VIEWS_PER_TILE)
     chosen, weights = np.zeros(shape, dtype=np.int64), np.zeros(shape)
     for y in range(intrinsics.height):

@@ -4,12 +4,16 @@ A tile is a cell in the sense of ``net_kernels``: some views, each with a weight
 the pixel, so that the renderer need not know which rule made it.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pipelines.artifacts.array_types import Float32Array, FloatArray, Int32Array, IntArray
 from pipelines.lightfield.blending import (
     FEWEST_TILES,
+    MOST_RANKED,
     MOST_TILES,
+    OUTLOOK_POINTS,
     TILE_SIDE,
     VIEWS_PER_CORNER,
     VIEWS_PER_TILE,
@@ -19,13 +23,88 @@ from pipelines.lightfield.ranking_kernels import (
     POINTS,
     RANKING_SCRATCH,
     RANKS,
-    order_of_groups,
+    gather_depths,
+    order_groups,
     rank_views,
     set_points,
     set_shares,
 )
-from pipelines.lightfield.view_index import ViewIndex
+from pipelines.lightfield.view_index import VIEW_NUMBERS, ViewIndex
 from pipelines.lightfield.views import ViewArrays
+
+# Views that many are narrowed down to, at most. The outlook's points are one batch.
+MOST_NARROWED = VIEWS_PER_CORNER * POINTS
+
+
+class Tiling(NamedTuple):
+    """The tiles of images of one size, and memory for choosing their views.
+
+    C points are ranked: those of the outlook, then the tiles' corners row by row, then the last of
+    them again until a batch is full.
+
+    Attributes:
+        across: columns on which corners lie, and
+        down: rows.
+        columns: ``(C,)`` of the points' pixels, and
+        rows: likewise, and
+        pixels: ``(C,)`` int32 their indices.
+        views: ``(VIEWS_PER_CORNER, C)`` int32 the best at each point; -1: none.
+        weights: ``(VIEWS_PER_CORNER, C)`` their weights.
+        ranking: ``(RANKING_SCRATCH,)`` see ``ranking_kernels``.
+        best: ``(RANKS * POINTS,)`` int32.
+        deviations: ``(G,)`` of the groups of views, and
+        groups: ``(G,)`` in which order they are looked at.
+        narrow_order: ``(MOST_NARROWED,)`` int32 and
+        narrow_starts: ``(2,)`` and
+        narrow_numbers: ``(MOST_NARROWED, VIEW_NUMBERS)``: an index of a few of the views.
+        slots: ``(2, N)`` the last tile that a view was in, and its slot there.
+        at_corner: ``(VIEWS_PER_TILE, 4)`` weights of a tile's views at its corners.
+    """
+
+    across: IntArray
+    down: IntArray
+    columns: Float32Array
+    rows: Float32Array
+    pixels: Int32Array
+    views: Int32Array
+    weights: Float32Array
+    ranking: Float32Array
+    best: Int32Array
+    deviations: FloatArray
+    groups: IntArray
+    narrow_order: Int32Array
+    narrow_starts: IntArray
+    narrow_numbers: Float32Array
+    slots: IntArray
+    at_corner: FloatArray
+
+
+@compiled
+def tiling_for(width: int, height: int, view_count: int, group_count: int) -> Tiling:
+    """Makes a tiling for images of one size and a light field of so many views and groups."""
+    points = point_count(width, height)
+    columns, rows = np.empty(points, np.float32), np.empty(points, np.float32)
+    pixels = np.empty(points, np.int32)
+    across, down = tile_borders(width), tile_borders(height)
+    set_places(width, height, across, down, columns, rows, pixels)
+    return Tiling(
+        across,
+        down,
+        columns,
+        rows,
+        pixels,
+        np.empty((VIEWS_PER_CORNER, points), np.int32),
+        np.empty((VIEWS_PER_CORNER, points), np.float32),
+        np.empty(RANKING_SCRATCH, np.float32),
+        np.empty(RANKS * POINTS, np.int32),
+        np.empty(group_count + 1),
+        np.zeros(group_count + 1, np.int64),
+        np.empty(MOST_NARROWED, np.int32),
+        np.zeros(2, np.int64),
+        np.empty((MOST_NARROWED, VIEW_NUMBERS), np.float32),
+        np.empty((2, view_count), np.int64),
+        np.empty((VIEWS_PER_TILE, 4)),
+    )
 
 
 @compiled_leaf
@@ -72,28 +151,82 @@ def order_by_tile(
     starts[cell] = count
 
 
-@compiled_leaf
-def _set_pixel(
-    x: int, y: int, surface: Float32Array, width: int, pixels: Float32Array, lane: int
-) -> None:
-    """Writes place and inverse depth of a pixel as one of those of ``set_points``."""
-    pixels[lane], pixels[POINTS + lane] = x, y
-    pixels[2 * POINTS + lane] = surface[y * width + x]
+@compiled
+def point_count(width: int, height: int) -> int:
+    """How many points are ranked in an image, in whole batches of ``POINTS``."""
+    corners = (tile_count(width) + 1) * (tile_count(height) + 1)
+    return POINTS + (corners + POINTS - 1) // POINTS * POINTS
 
 
 @compiled
+def set_places(
+    width: int,
+    height: int,
+    across: IntArray,
+    down: IntArray,
+    columns: Float32Array,
+    rows: Float32Array,
+    pixels: Int32Array,
+) -> None:
+    """Writes where the points that are ranked lie: the outlook's, then the tiles' corners.
+
+    Args:
+        width: of the image, and
+        height: of it.
+        across: columns on which corners lie, and
+        down: rows.
+        columns: (C,) and
+        rows: (C,) receive the points' places, and
+        pixels: (C,) int32 their pixels.
+    """
+    corners = len(across) * len(down)
+    last = OUTLOOK_POINTS - 1
+    for i in range(len(columns)):
+        # The last corner stands for those that are not there.
+        corner = min(i - POINTS, corners - 1)
+        x, y = i % OUTLOOK_POINTS * (width - 1) // last, i // OUTLOOK_POINTS * (height - 1) // last
+        if corner >= 0:
+            x, y = across[corner % len(across)], down[corner // len(across)]
+        columns[i], rows[i] = x, y
+        pixels[i] = y * width + x
+
+
+@compiled_leaf
+def _narrow(index: ViewIndex, space: Tiling) -> int:
+    """Makes an index of those views alone that have any weight at the points of the outlook.
+
+    Returns:
+        Their number.
+    """
+    count = 0
+    for rank in range(VIEWS_PER_CORNER):
+        for point in range(POINTS):
+            view = space.views[rank, point]
+            if view < 0 or space.weights[rank, point] <= 0.0:
+                continue
+            is_new = True
+            for other in range(count):
+                is_new = is_new and space.narrow_order[other] != view
+            if is_new:
+                space.narrow_order[count] = view
+                place = index.places[view]
+                for i in range(VIEW_NUMBERS):
+                    space.narrow_numbers[count, i] = index.numbers[place, i]
+                count += 1
+    return count
+
+
+@compiled_leaf
 def build_tiles(
     pose: FloatArray,
     rays: FloatArray,
     surface: Float32Array,
-    width: int,
     views: ViewArrays,
     index: ViewIndex,
     has_depth: bool,
-    slots: IntArray,
+    space: Tiling,
     cell_views: IntArray,
     cell_weights: FloatArray,
-    cell_origins: FloatArray,
 ) -> None:
     """Cells of the unstructured-lumigraph rule.
 
@@ -101,54 +234,54 @@ def build_tiles(
         pose: (4, 4) world_from_camera of the virtual camera.
         rays: (3, 3) virtual pixels to world directions.
         surface: (H W,) virtual inverse depth; 0: none.
-        width: of the virtual image.
         views: the light field.
         index: of the views that may take part.
         has_depth: whether depth maps may hide the surface.
-        slots: (2, N) overwritten.
+        space: made for images of this size; changed.
         cell_views: (c, VIEWS_PER_TILE) receives view indices, -1 behind the last.
-        cell_weights: (c, VIEWS_PER_TILE, 4) receives coefficients of x, y, 1, x y, relative to
-        cell_origins: (c, 2), which receives columns and rows.
+        cell_weights: (c, VIEWS_PER_TILE, 4) receives coefficients of x, y, 1, x y, relative to the
+            tiles' upper left corners.
     """
-    columns, rows = tile_borders(width), tile_borders(len(surface) // width)
-    across = len(columns)
-    corners = across * len(rows)
-    padded = (corners + POINTS - 1) // POINTS * POINTS
-    corner_views = np.empty((VIEWS_PER_CORNER, padded), np.int32)
-    corner_weights = np.empty((VIEWS_PER_CORNER, padded), np.float32)
-    scratch = np.empty(RANKING_SCRATCH, np.float32)
-    best = np.empty(RANKS * POINTS, np.int32)
-    pixels = np.empty(3 * POINTS, np.float32)
-    for lane in range(POINTS):
-        # The middle of the image stands for all of it.
-        _set_pixel(width // 2, len(surface) // width // 2, surface, width, pixels, lane)
-    set_points(pose, rays, index.origin, pixels, scratch)
-    order = order_of_groups(index.spheres, scratch)
-    for first in range(0, corners, POINTS):
-        for lane in range(POINTS):
-            # The last corner stands for those that are not there.
-            corner = min(first + lane, corners - 1)
-            x, y = columns[corner % across], rows[corner // across]
-            _set_pixel(x, y, surface, width, pixels, lane)
-        set_points(pose, rays, index.origin, pixels, scratch)
-        rank_views(views, index, order, has_depth, scratch, best)
-        set_shares(scratch, best, first, corner_views, corner_weights)
-    at_corner = np.empty((VIEWS_PER_TILE, 4))
-    slots[0] = -1
-    for i in range(len(rows) - 1):
+    numbers, order, starts = index.numbers, index.order, index.starts
+    groups, start = len(index.spheres), 0 if len(order) > MOST_RANKED else POINTS
+    for first in range(start, len(space.pixels), POINTS):
+        gather_depths(surface, space.pixels, np.uintp(first), space.ranking)
+        set_points(
+            pose, rays, index.origin, space.columns, space.rows, np.uintp(first), space.ranking
+        )
+        if first == start:
+            order_groups(index.spheres, space.ranking, space.deviations, space.groups)
+        rank_views(
+            views,
+            numbers,
+            order,
+            starts,
+            index.spheres,
+            space.groups,
+            groups,
+            has_depth,
+            space.ranking,
+            space.best,
+        )
+        set_shares(space.ranking, space.best, first, space.views, space.weights)
+        if first == 0:
+            space.narrow_starts[1] = _narrow(index, space)
+            numbers, order, starts = space.narrow_numbers, space.narrow_order, space.narrow_starts
+            groups, space.groups[0] = 1, 0
+    space.slots[0] = -1
+    across = len(space.across)
+    for i in range(len(space.down) - 1):
         for j in range(across - 1):
-            cell = i * (across - 1) + j
-            cell_origins[cell, 0], cell_origins[cell, 1] = columns[j], rows[i]
             _join_corners(
-                corner_views,
-                corner_weights,
-                i * across + j,
+                space.views,
+                space.weights,
+                POINTS + i * across + j,
                 across,
-                max(columns[j + 1] - columns[j], 1),
-                max(rows[i + 1] - rows[i], 1),
-                cell,
-                slots,
-                at_corner,
+                max(space.across[j + 1] - space.across[j], 1),
+                max(space.down[i + 1] - space.down[i], 1),
+                i * (across - 1) + j,
+                space.slots,
+                space.at_corner,
                 cell_views,
                 cell_weights,
             )

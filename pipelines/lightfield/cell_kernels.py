@@ -14,7 +14,7 @@ from pipelines.artifacts.array_types import (
     Int32Array,
     IntArray,
 )
-from pipelines.lightfield.compiled import compiled, compiled_leaf
+from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_part
 from pipelines.lightfield.mapping_kernels import is_inside, locate, view_mapping
 from pipelines.lightfield.net_kernels import build_net
 from pipelines.lightfield.reference import FRUSTUM_SAMPLES
@@ -29,15 +29,13 @@ from pipelines.lightfield.sampling_kernels import (
     load_weights,
     place_samples,
 )
-from pipelines.lightfield.workspace import LightField, Workspace
+from pipelines.lightfield.workspace import MOST_MEMBERS, LightField, Workspace
 
 # On a pyramid level a pixel spans about one: levels change where it spans sqrt(2) 2^k of the finest
 # one's, at these depths times the ratio of focal lengths.
 LEVEL_BORDERS = np.sqrt(2.0) / 2.0 ** np.arange(32)
 # Pixels that are passed over at once where a row's labels stay the same.
 STRIDE = 8
-# Cells that are worked on together, at most.
-MOST_MEMBERS = 16
 # In the list of a cell's views: the end, and a view that was shown with an earlier cell.
 NO_VIEW, DONE = -1, -2
 
@@ -128,7 +126,7 @@ def _end_of_run(labels: IntArray, y: int, first: int, width: int) -> int:
     return last
 
 
-@compiled
+@compiled_part
 def blend_cells(
     field: LightField,
     has_depth: bool,
@@ -167,7 +165,7 @@ def blend_cells(
         space: maps, shifts and scratch are changed.
         image: (H W, 4) sums of weighted colours and of 255 times the weights, changed.
     """
-    members = np.empty((MOST_MEMBERS, 2), np.int64)
+    members = space.members
     for cell in range(cells):
         first = starts[cell]
         for slot in range(cell_views.shape[1]):

@@ -38,6 +38,14 @@ def compiled_leaf(function: Function) -> Function:
     return _compiled(function, EXACT, count_references=False)
 
 
+def compiled_part(function: Function) -> Function:
+    """Like ``compiled_leaf``, for larger functions that are called from several places.
+
+    They are not copied into their callers, where the compiler would work on each of them again.
+    """
+    return _compiled(function, EXACT, count_references=False, is_copied=False)
+
+
 def compiled_loop(function: Function) -> Function:
     """Like ``compiled_leaf``, for loops that do the same with many numbers.
 
@@ -48,14 +56,19 @@ def compiled_loop(function: Function) -> Function:
     return _compiled(function, REORDERED, count_references=False)
 
 
-def _compiled(function: Function, arithmetic: set[str], count_references: bool) -> Function:
+def _compiled(
+    function: Function,
+    arithmetic: set[str],
+    count_references: bool,
+    is_copied: bool | None = None,
+) -> Function:
     options: dict[str, Any] = {
         "nogil": True,
         "error_model": "numpy",
         "fastmath": arithmetic,
         "_nrt": count_references,
         # What is called for every pixel belongs into the loop that calls it.
-        "forceinline": not count_references,
+        "forceinline": not count_references if is_copied is None else is_copied,
     }
     dispatcher: Any = njit(**options)(function)
     # Where no folder can be written to, functions are compiled anew in every process.

@@ -41,10 +41,10 @@ class Programs:
     has_depth: bool
 
     def drawing(self) -> dict[str, Program]:
-        """The steps of rendering virtual images: ``weigh`` and ``join`` for tiles, ``draw``."""
+        """The steps of rendering images: ``narrow``, ``weigh``, ``join`` for tiles; ``draw``."""
         names, entries = [*self._shading(), "drawing"], ["draw"]
         if self.rule is Blending.UNSTRUCTURED:
-            names, entries = [*names, "building"], ["weigh", "join", *entries]
+            names, entries = [*names, "building"], ["narrow", "weigh", "join", *entries]
         return self._compiled(names, {}, DRAWING, entries)
 
     def comparison(self, cost: Cost, fit_gain: bool) -> Program:
@@ -116,6 +116,8 @@ def rule_constants() -> dict[str, Constant]:
         "FRUSTUM_SAMPLES": reference.FRUSTUM_SAMPLES,
         "SMALLEST_WEIGHT": reference.SMALLEST_WEIGHT,
         "SMALLEST_RELATIVE_DEPTH": net.SMALLEST_RELATIVE_DEPTH,
+        "MOST_RANKED": blending.MOST_RANKED,
+        "OUTLOOK_POINTS": blending.OUTLOOK_POINTS,
         "RESOLUTION_PENALTY": blending.RESOLUTION_PENALTY,
         "BORDER_SHARE": blending.BORDER_SHARE,
         "BORDER_PENALTY": blending.BORDER_PENALTY,

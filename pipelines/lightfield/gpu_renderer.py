@@ -238,6 +238,7 @@ class GpuRenderer(Renderer):
         intrinsics = sizes.intrinsics
         across, down = tiles_of(intrinsics)
         groups = {
+            "narrow": (1, 1),
             "weigh": (-(-corners_of(intrinsics) // LANES), 1),
             "join": (-(-across * down // LANES), 1),
             "draw": (-(-intrinsics.width // BLOCK), -(-intrinsics.height // BLOCK)),

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray, ImageArray
 from pipelines.artifacts.errors import OptionError
 from pipelines.geometry.camera import Intrinsics
-from pipelines.lightfield.blending import VIEWS_PER_TILE, tile_count
+from pipelines.lightfield.blending import OUTLOOK_POINTS, VIEWS_PER_TILE, tile_count
 from pipelines.lightfield.comparison import prepared
 from pipelines.lightfield.gpu_device import Gpu
 from pipelines.lightfield.proxy import LARGEST_GAP_SHARE
@@ -120,8 +120,8 @@ def corners_of(intrinsics: Intrinsics) -> int:
 
 
 def tile_bytes(intrinsics: Intrinsics) -> int:
-    """What one pose's corners and tiles take; see ``weights.wgsl``."""
-    words = 2 * corners_of(intrinsics) + math.prod(tiles_of(intrinsics)) * (
+    """What one pose's points and tiles take; see ``weights.wgsl``."""
+    words = 2 * (OUTLOOK_POINTS**2 + corners_of(intrinsics)) + math.prod(tiles_of(intrinsics)) * (
         VIEWS_PER_TILE // 4 + VIEWS_PER_TILE
     )
     return WORD_OF_FOUR * words

@@ -16,7 +16,7 @@ from pipelines.artifacts.array_types import Float32Array, FloatArray
 from pipelines.lightfield.blending_kernels import build_tiles
 from pipelines.lightfield.cell_kernels import blend_cells, set_net
 from pipelines.lightfield.comparison import compare
-from pipelines.lightfield.compiled import compiled, compiled_loop
+from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_loop
 from pipelines.lightfield.mapping_kernels import virtual_rays
 from pipelines.lightfield.reference import SMALLEST_WEIGHT
 from pipelines.lightfield.sampling_kernels import LANES
@@ -54,66 +54,111 @@ def _normalised(image: Float32Array) -> int:
     return empty
 
 
-@compiled
+@compiled_leaf
 def _show_cells(
     field: LightField,
     pose: FloatArray,
     intrinsics: FloatArray,
     cells: int,
+    surface: Float32Array,
+    space: Workspace,
+    image: Float32Array,
+    colours: Float32Array,
+) -> int:
+    """Renders one virtual view, whose cells are set.
+
+    Args:
+        field: the light field.
+        pose: (4, 4) world_from_camera.
+        intrinsics: (4,) fx, fy, cx, cy.
+        cells: their number.
+        surface: (P,) inverse depths.
+        space: changed.
+        image: (P, 4) receives the view.
+        colours: (4 P,) the same memory.
+
+    Returns:
+        How many pixels none of the views of their cells shows.
+    """
+    for i in range(len(surface)):
+        space.surface[i] = surface[space.pixels[i]]
+    for i in range(len(colours)):
+        colours[i] = ZERO
+    blend_cells(
+        field,
+        field.has_depth,
+        pose,
+        0.5 * (intrinsics[0] + intrinsics[1]),
+        cells,
+        space.cell_views,
+        space.cell_weights,
+        space.cell_origins,
+        space.starts,
+        space.columns,
+        space.rows,
+        space.surface,
+        space.pixels,
+        space,
+        image,
+    )
+    return _normalised(colours)
+
+
+@compiled
+def _show_substitutes(
+    field: LightField,
+    pose: FloatArray,
+    intrinsics: FloatArray,
+    empty: int,
     width: int,
     surface: Float32Array,
     space: Workspace,
     image: Float32Array,
 ) -> None:
-    """Renders one virtual view, whose cells are set, into ``image`` (H W, 4)."""
-    image[:] = 0.0
-    focal = 0.5 * (intrinsics[0] + intrinsics[1])
-    for i in range(len(surface)):
-        space.surface[i] = surface[space.pixels[i]]
-    hides, starts = field.has_depth, space.starts
-    columns, rows, depths, pixels = space.columns, space.rows, space.surface, space.pixels
-    cell_views, cell_weights = space.cell_views, space.cell_weights
-    cell_origins = space.cell_origins
-    # First what the cells' views show, then the pixels that none of them does: each is a cell.
-    for turn in range(2):
-        blend_cells(
-            field,
-            hides,
-            pose,
-            focal,
-            cells,
-            cell_views,
-            cell_weights,
-            cell_origins,
-            starts,
-            columns,
-            rows,
-            depths,
-            pixels,
-            space,
-            image,
-        )
-        if turn == 1:
-            for i in range(cells):
-                image[pixels[i], 3] = ONE
-            break
-        empty = _normalised(image.reshape(-1))
-        if empty == 0:
-            break
-        pixels, cell_views = np.empty(empty, np.int32), np.empty((empty, 1), np.int64)
-        cells = find_substitutes(
-            field, pose, intrinsics, surface, width, image, space, pixels, cell_views
-        )
-        if cells == 0:
-            break
-        columns, rows = np.zeros(cells + LANES, np.float32), np.zeros(cells + LANES, np.float32)
-        depths = np.zeros(cells + LANES, np.float32)
-        for i in range(cells):
-            columns[i], rows[i] = pixels[i] % width, pixels[i] // width
-            depths[i] = surface[pixels[i]]
-        hides, starts = NOTHING_HIDES, np.arange(cells + 1)
-        cell_weights, cell_origins = np.zeros((cells, 1, 4)), np.zeros((cells, 2))
-        cell_weights[:, :, 2] = 1.0
+    """Renders the pixels that none of their cell's views shows; each is a cell.
+
+    Args:
+        field: the light field.
+        pose: (4, 4) world_from_camera.
+        intrinsics: (4,) fx, fy, cx, cy.
+        empty: how many pixels these are.
+        width: of the virtual image.
+        surface: (P,) inverse depths.
+        space: changed.
+        image: (P, 4) changed.
+    """
+    pixels, cell_views = np.empty(empty, np.int32), np.empty((empty, 1), np.int64)
+    cells = find_substitutes(
+        field, pose, intrinsics, surface, width, image, space, pixels, cell_views
+    )
+    if cells == 0:
+        return
+    columns, rows = np.zeros(cells + LANES, np.float32), np.zeros(cells + LANES, np.float32)
+    depths = np.zeros(cells + LANES, np.float32)
+    cell_weights, cell_origins = np.zeros((cells, 1, 4)), np.zeros((cells, 2))
+    for i in range(cells):
+        columns[i], rows[i] = pixels[i] % width, pixels[i] // width
+        depths[i] = surface[pixels[i]]
+        cell_weights[i, 0, 2] = 1.0
+    blend_cells(
+        field,
+        NOTHING_HIDES,
+        pose,
+        0.5 * (intrinsics[0] + intrinsics[1]),
+        cells,
+        cell_views,
+        cell_weights,
+        cell_origins,
+        np.arange(cells + 1),
+        columns,
+        rows,
+        depths,
+        pixels,
+        space,
+        image,
+    )
+    for i in range(cells):
+        image[pixels[i], 3] = ONE
 
 
 @compiled
@@ -153,18 +198,19 @@ def render_tiles(
             pose,
             space.rays,
             surface,
-            width,
             field.views,
             field.view_index,
             field.has_depth,
-            space.slots,
+            space.tiling,
             space.cell_views,
             space.cell_weights,
-            space.cell_origins,
         )
         cells = len(space.cell_views)
         pixels = image.reshape((-1, 4))
-        _show_cells(field, pose, intrinsics, cells, width, surface, space, pixels)
+        colours = pixels.reshape(-1)
+        empty = _show_cells(field, pose, intrinsics, cells, surface, space, pixels, colours)
+        if empty > 0:
+            _show_substitutes(field, pose, intrinsics, empty, width, surface, space, pixels)
         if kind != NO_COMPARISON:
             costs[index] = compare(kind, image, query, fit_gain)
 
@@ -194,6 +240,9 @@ def render_nets(
         if cells == 0:
             image[:] = 0.0
         else:
-            _show_cells(field, pose, intrinsics, cells, width, surface, space, pixels)
+            colours = pixels.reshape(-1)
+        empty = _show_cells(field, pose, intrinsics, cells, surface, space, pixels, colours)
+        if empty > 0:
+            _show_substitutes(field, pose, intrinsics, empty, width, surface, space, pixels)
         if kind != NO_COMPARISON:
             costs[index] = compare(kind, image, query, fit_gain)

@@ -18,8 +18,7 @@ from pipelines.lightfield.blending import (
     SMALLEST_PENALTY,
     VIEWS_PER_CORNER,
 )
-from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_loop
-from pipelines.lightfield.view_index import ViewIndex
+from pipelines.lightfield.compiled import compiled_leaf, compiled_loop
 from pipelines.lightfield.views import ViewArrays
 
 # Points that are ranked together.
@@ -30,6 +29,8 @@ POINTS = 16
 PX, PY, PZ, VX, VY, VZ, NEARNESS = range(0, 7 * POINTS, POINTS)
 BEST, OWN, COLUMN, ROW, INVERSE = (POINTS * row for row in (7, 11, 12, 13, 14))
 RANKING_SCRATCH = 15 * POINTS
+# Before anything is ranked, inverse depths stand where penalties will.
+DEPTH = np.uintp(OWN)
 RANKS = VIEWS_PER_CORNER + 1
 HALF, ONE, TWO, ZERO = np.float32(0.5), np.float32(1.0), np.float32(2.0), np.float32(0.0)
 NEVER = np.float32(np.inf)
@@ -74,12 +75,30 @@ def is_occluded(
     return bool(seen > OCCLUSION_FACTOR * own)
 
 
+@compiled_leaf
+def gather_depths(
+    surface: Float32Array, pixels: Int32Array, first: np.uintp, scratch: Float32Array
+) -> None:
+    """Writes the inverse depths of the surface at the pixels of ``POINTS`` points.
+
+    Args:
+        surface: (H W,) virtual inverse depths.
+        pixels: (C,) of all points.
+        first: where those that are ranked together begin.
+        scratch: (RANKING_SCRATCH,) changed.
+    """
+    for i in range(np.uintp(POINTS)):
+        scratch[DEPTH + i] = surface[pixels[first + i]]
+
+
 @compiled_loop
 def set_points(
     pose: FloatArray,
     rays: FloatArray,
     origin: FloatArray,
-    pixels: Float32Array,
+    columns: Float32Array,
+    rows: Float32Array,
+    first: np.uintp,
     scratch: Float32Array,
 ) -> None:
     """Writes the surface points that are ranked.
@@ -88,17 +107,19 @@ def set_points(
         pose: (4, 4) world_from_camera.
         rays: (3, 3) virtual pixels to world directions.
         origin: (3,) see ``ViewIndex``.
-        pixels: (3 * POINTS,) columns, rows, and inverse depths of the surface there; 0: none, and
-            no view shows the point.
-        scratch: (RANKING_SCRATCH,) changed.
+        columns: (C,) of the points' pixels, and
+        rows: likewise.
+        first: where those that are ranked together begin.
+        scratch: (RANKING_SCRATCH,) with their inverse depths; 0: there is no surface, and no view
+            shows the point. Changed.
     """
     r0, r1, r2 = rays[0, 0], rays[0, 1], rays[0, 2]
     r3, r4, r5 = rays[1, 0], rays[1, 1], rays[1, 2]
     r6, r7, r8 = rays[2, 0], rays[2, 1], rays[2, 2]
     cx, cy, cz = pose[0, 3] - origin[0], pose[1, 3] - origin[1], pose[2, 3] - origin[2]
-    for i in range(POINTS):
-        x, y = np.float64(pixels[i]), np.float64(pixels[POINTS + i])
-        inverse_depth = np.float64(pixels[2 * POINTS + i])
+    for i in range(np.uintp(POINTS)):
+        x, y = np.float64(columns[first + i]), np.float64(rows[first + i])
+        inverse_depth = np.float64(scratch[DEPTH + i])
         distance = 1.0 / max(inverse_depth, 1.0 / FARTHEST)
         # A point that is nowhere is seen from nowhere: its depth in any view is not a number.
         distance = distance if inverse_depth > 0.0 else np.nan
@@ -243,11 +264,15 @@ def _insert(scratch: Float32Array, best: Int32Array, view: np.int32) -> None:
         best[i] = view if before0 else v0
 
 
-@compiled
+@compiled_leaf
 def rank_views(
     views: ViewArrays,
-    index: ViewIndex,
-    order: IntArray,
+    numbers: Float32Array,
+    order: Int32Array,
+    starts: IntArray,
+    spheres: Float32Array,
+    groups: IntArray,
+    group_count: int,
     has_depth: bool,
     scratch: Float32Array,
     best: Int32Array,
@@ -256,23 +281,28 @@ def rank_views(
 
     Args:
         views: the light field.
-        index: of those that may take part.
-        order: (G,) in which groups of them are looked at; the most promising first spare a look at
+        numbers: (S, VIEW_NUMBERS) of the views that may take part, see ``ViewIndex``, and
+        order: (S,) int32 which these are, and
+        starts: (G + 1,) where groups of them begin, and
+        spheres: (G, 4) around the groups.
+        groups: (G,) in which order groups are looked at; the most promising first spare a look at
             most others.
+        group_count: their number; where there is one, its sphere does not matter.
         has_depth: whether depth maps may hide the points.
         scratch: (RANKING_SCRATCH,) with the points set; from ``BEST`` on it receives the penalties
             of the best, rank by rank; infinite: no view.
         best: (RANKS * POINTS,) int32 receives the views; -1: none.
     """
     _start(scratch, best)
-    for group in order:
-        if len(order) > 1 and _count_open(scratch, index.spheres, group) == ZERO:
+    for number in range(group_count):
+        group = groups[number]
+        if group_count > 1 and _count_open(scratch, spheres, group) == ZERO:
             continue
-        for row in range(index.starts[group], index.starts[group + 1]):
-            if _count_nearer(scratch, index.numbers, row) == ZERO:
+        for row in range(starts[group], starts[group + 1]):
+            if _count_nearer(scratch, numbers, row) == ZERO:
                 continue
-            _set_penalties(scratch, index.numbers, row)
-            view = index.order[row]
+            _set_penalties(scratch, numbers, row)
+            view = order[row]
             if has_depth:
                 _leave_out_hidden(
                     scratch,
@@ -285,10 +315,18 @@ def rank_views(
             _insert(scratch, best, view)
 
 
-@compiled
-def order_of_groups(spheres: Float32Array, scratch: Float32Array) -> IntArray:
-    """Groups (G,) in the order in which their centres deviate from the ray to the first point."""
-    deviation, order = np.empty(len(spheres)), np.empty(len(spheres), np.int64)
+@compiled_leaf
+def order_groups(
+    spheres: Float32Array, scratch: Float32Array, deviations: FloatArray, order: IntArray
+) -> None:
+    """Sorts groups by how far their centres deviate from the ray to the first point.
+
+    Args:
+        spheres: (G, 4) see ``ViewIndex``.
+        scratch: (RANKING_SCRATCH,) with the points set.
+        deviations: (G,) overwritten.
+        order: (G,) receives the groups.
+    """
     for group in range(len(spheres)):
         rx = scratch[PX] - spheres[group, 0]
         ry = scratch[PY] - spheres[group, 1]
@@ -298,11 +336,10 @@ def order_of_groups(spheres: Float32Array, scratch: Float32Array) -> IntArray:
         own = -along / np.sqrt(rx * rx + ry * ry + rz * rz)
         place = group
         # They are few: put each in its place.
-        while place > 0 and deviation[place - 1] > own:
-            deviation[place], order[place] = deviation[place - 1], order[place - 1]
+        while place > 0 and deviations[place - 1] > own:
+            deviations[place], order[place] = deviations[place - 1], order[place - 1]
             place -= 1
-        deviation[place], order[place] = own, group
-    return order
+        deviations[place], order[place] = own, group
 
 
 @compiled_loop

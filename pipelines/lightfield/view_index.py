@@ -9,7 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray, IntArray
+from pipelines.artifacts.array_types import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    Int32Array,
+    IntArray,
+)
 from pipelines.lightfield.blending import BORDER_SHARE
 from pipelines.lightfield.views import Views
 
@@ -24,6 +30,7 @@ class ViewIndex(NamedTuple):
         origin: ``(3,)`` world coordinates of the origin in which all else is given, so that single
             precision is enough far away from the world's.
         order: ``(S,)`` int32 the views, group by group.
+        places: ``(N,)`` int32 where each of all views stands in that order; -1: nowhere.
         starts: ``(G + 1,)`` where in that order a group begins.
         numbers: ``(S, 18)`` of each view in that order: projection row by row, centre, width,
             height, width of the strip along the border.
@@ -31,7 +38,8 @@ class ViewIndex(NamedTuple):
     """
 
     origin: FloatArray
-    order: IntArray
+    order: Int32Array
+    places: Int32Array
     starts: IntArray
     numbers: Float32Array
     spheres: Float32Array
@@ -45,6 +53,8 @@ def build_index(views: Views, usable: BoolArray) -> ViewIndex:
     groups = _groups(centres, chosen)
     order = np.concatenate([*groups, np.zeros(0, dtype=np.int64)])
     numbers = np.zeros((len(order), VIEW_NUMBERS), dtype=np.float32)
+    places = np.full(len(views), -1, dtype=np.int32)
+    places[order] = np.arange(len(order))
     for place, view in enumerate(order):
         projection = views.arrays.projection[view].copy()
         projection[:, 3] += projection[:, :3] @ origin
@@ -55,6 +65,7 @@ def build_index(views: Views, usable: BoolArray) -> ViewIndex:
     return ViewIndex(
         origin=origin,
         order=order.astype(np.int32),
+        places=places,
         starts=np.cumsum([0, *map(len, groups)]),
         numbers=numbers,
         spheres=_spheres(centres - origin, groups),

@@ -12,11 +12,14 @@ from pipelines.artifacts.array_types import (
     IntArray,
 )
 from pipelines.lightfield.blending import VIEWS_PER_TILE
-from pipelines.lightfield.blending_kernels import order_by_tile, tile_count
+from pipelines.lightfield.blending_kernels import Tiling, order_by_tile, tile_count, tiling_for
 from pipelines.lightfield.compiled import compiled
 from pipelines.lightfield.sampling_kernels import COEFFICIENTS, LANES, ROW_LENGTH, SCRATCH_SIZE
 from pipelines.lightfield.view_index import ViewIndex
 from pipelines.lightfield.views import ViewArrays
+
+# Cells that are worked on together, at most.
+MOST_MEMBERS = 16
 
 
 class LightField(NamedTuple):
@@ -49,13 +52,14 @@ class Workspace(NamedTuple):
         cell_views: ``(c, VIEWS_PER_TILE)`` the views of each cell; -1 behind the last.
         cell_weights: ``(c, VIEWS_PER_TILE, 4)`` coefficients of x, y, 1, x y, relative to
         cell_origins: ``(c, 2)`` columns and rows.
-        slots: ``(2, N)`` the last cell that a view was in, and its slot there.
+        tiling: how views are chosen for tiles; of the smallest image where cells are a net's.
         labels: ``(H, W)`` each pixel's cell of the net.
         starts: ``(c + 1,)`` where cells begin in the order of the pixels.
         columns: ``(H W + LANES,)`` places of the pixels in that order, and
         rows: likewise, and
         surface: their inverse depths, and
         pixels: int32 their indices.
+        members: ``(MOST_MEMBERS, 2)`` cells that are worked on together.
         scratch: of a chunk, see ``sampling_kernels``.
         offsets: ``(CHUNK,)`` int32.
         places: ``(CHUNK,)`` int32.
@@ -70,13 +74,14 @@ class Workspace(NamedTuple):
     cell_views: IntArray
     cell_weights: FloatArray
     cell_origins: FloatArray
-    slots: IntArray
+    tiling: Tiling
     labels: IntArray
     starts: IntArray
     columns: Float32Array
     rows: Float32Array
     surface: Float32Array
     pixels: Int32Array
+    members: IntArray
     scratch: Float32Array
     offsets: Int32Array
     places: Int32Array
@@ -91,8 +96,15 @@ def workspace_for(field: LightField, width: int, height: int) -> Workspace:
     labels = np.empty((height, width) if field.is_net else (1, 1), np.int64)
     starts = np.zeros(cells + 1, np.int64)
     columns, rows = np.zeros(pixels + LANES, np.float32), np.zeros(pixels + LANES, np.float32)
-    order = np.empty(pixels, np.int32)
+    order = np.zeros(pixels, np.int32)
+    size = (1, 1) if field.is_net else (width, height)
+    tiling = tiling_for(size[0], size[1], count, len(field.view_index.spheres))
+    origins = np.zeros((cells, 2))
     if not field.is_net:
+        for i in range(len(tiling.down) - 1):
+            for j in range(len(tiling.across) - 1):
+                cell = i * (len(tiling.across) - 1) + j
+                origins[cell, 0], origins[cell, 1] = tiling.across[j], tiling.down[i]
         order_by_tile(width, height, columns, rows, starts)
         for i in range(pixels):
             order[i] = np.int32(rows[i]) * width + np.int32(columns[i])
@@ -104,14 +116,15 @@ def workspace_for(field: LightField, width: int, height: int) -> Workspace:
         np.zeros(count, np.bool_),
         np.empty((cells, VIEWS_PER_TILE), np.int64),
         np.empty((cells, VIEWS_PER_TILE, 4)),
-        np.zeros((cells, 2)),
-        np.empty((2, count), np.int64),
+        origins,
+        tiling,
         labels,
         starts,
         columns,
         rows,
         np.zeros(pixels + LANES, np.float32),
         order,
+        np.empty((MOST_MEMBERS, 2), np.int64),
         np.zeros(SCRATCH_SIZE, np.float32),
         np.zeros(ROW_LENGTH, np.int32),
         np.zeros(ROW_LENGTH, np.int32),

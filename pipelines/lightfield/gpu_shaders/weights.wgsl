@@ -1,7 +1,8 @@
-// The unstructured-lumigraph rule (module blending): the best views at the corners of the tiles,
-// and of each tile the views of its four corners with their weights there.
+// The unstructured-lumigraph rule (module blending): the best views at some points, those of the
+// outlook and the corners of the tiles; and of each tile the views of its four corners with their
+// weights there.
 
-// Of each pose: two words of four for a corner (views and their number; weights), then for each
+// Of each pose: two words of four for a point (views and their number; weights), then for each
 // tile three words of views and one word of corner weights for each of these.
 @group(0) @binding(4) var<storage, read_write> workspace: array<vec4<u32>>;
 
@@ -9,8 +10,10 @@ const VIEWS_PER_CORNER: u32 = 3u;
 const VIEWS_PER_TILE: u32 = 12u;
 const TILE_WORDS: u32 = 15u;
 
-fn corner_count() -> u32 {
-  return (settings.tiles.x + 1u) * (settings.tiles.y + 1u);
+const OUTLOOK: u32 = OUTLOOK_POINTS * OUTLOOK_POINTS;
+
+fn point_count() -> u32 {
+  return OUTLOOK + (settings.tiles.x + 1u) * (settings.tiles.y + 1u);
 }
 
 fn tile_count() -> u32 {
@@ -18,11 +21,11 @@ fn tile_count() -> u32 {
 }
 
 fn workspace_of(slot: u32) -> u32 {
-  return slot * (2u * corner_count() + TILE_WORDS * tile_count());
+  return slot * (2u * point_count() + TILE_WORDS * tile_count());
 }
 
 fn tile_words(slot: u32, tile: u32) -> u32 {
-  return workspace_of(slot) + 2u * corner_count() + TILE_WORDS * tile;
+  return workspace_of(slot) + 2u * point_count() + TILE_WORDS * tile;
 }
 
 // Pixel on which a corner of the tiles lies.
@@ -67,72 +70,126 @@ fn border_penalty(view: View, place: vec3<f32>) -> f32 {
   return BORDER_PENALTY * (strip / max(margin, SMALLEST_MARGIN * strip) - 1.0);
 }
 
-// Writes the best views of one corner, and weights with sum 1 that fall to zero where the next best
-// view takes over.
-fn weigh_corner(slot: u32, pose: Pose, corner: u32) {
+fn pixel_of_point(point: u32) -> vec2<u32> {
+  if (point < OUTLOOK) {
+    let step = vec2(point % OUTLOOK_POINTS, point / OUTLOOK_POINTS);
+    return step * (settings.size - 1u) / (OUTLOOK_POINTS - 1u);
+  }
   let columns = settings.tiles.x + 1u;
-  let pixel = border(vec2(corner % columns, corner / columns));
-  let d = surface_at(slot, pose, pixel);
-  let ray = ray_of(pose, f32(pixel.x), f32(pixel.y));
-  var best = vec4(NO_VIEW);
-  var penalty = vec4(LARGEST);
-  var found = 0u;
-  if (d > 0.0) {
+  return border(vec2((point - OUTLOOK) % columns, (point - OUTLOOK) / columns));
+}
+
+// The best views of a point so far, in order; of equal ones the first of all views comes first.
+struct Best {
+  views: vec4<u32>,
+  penalties: vec4<f32>,
+}
+
+fn comes_first(own: f32, index: u32, other: f32, other_index: u32) -> bool {
+  return own < other || (own == other && index < other_index);
+}
+
+// With one more view, if it is among the best.
+fn with_view(before: Best, index: u32, own: f32) -> Best {
+  var best = before;
+  if (!comes_first(own, index, best.penalties.w, best.views.w)) {
+    return best;
+  }
+  best.penalties.w = own;
+  best.views.w = index;
+  if (comes_first(best.penalties.w, best.views.w, best.penalties.z, best.views.z)) {
+    best.penalties = best.penalties.xywz;
+    best.views = best.views.xywz;
+  }
+  if (comes_first(best.penalties.z, best.views.z, best.penalties.y, best.views.y)) {
+    best.penalties = best.penalties.xzyw;
+    best.views = best.views.xzyw;
+  }
+  if (comes_first(best.penalties.y, best.views.y, best.penalties.x, best.views.x)) {
+    best.penalties = best.penalties.yxzw;
+    best.views = best.views.yxzw;
+  }
+  return best;
+}
+
+// The same with a view's penalty worked out, if the view shows the point.
+fn ranked(best: Best, index: u32, pose: Pose, ray: vec3<f32>, d: f32) -> Best {
+  let view = views[index];
+  let offset = offset_from_view(view, pose, ray, d);
+  let place = locate(view, offset);
+  if (!is_inside(view, place)) {
+    return best;
+  }
+  if (HAS_DEPTH) {
+    if (is_occluded(view, place, d)) {
+      return best;
+    }
+  }
+  return with_view(best, index, ray_penalty(view, pose, ray, d, offset) + border_penalty(view, place));
+}
+
+fn is_narrowed() -> bool {
+  return settings.view_count > MOST_RANKED;
+}
+
+// Of all views, or of those that have any weight at the outlook's points.
+fn best_views(slot: u32, pose: Pose, ray: vec3<f32>, d: f32, of_all: bool) -> Best {
+  var best = Best(vec4(NO_VIEW), vec4(LARGEST));
+  if (of_all) {
     for (var index = 0u; index < settings.view_count; index++) {
-      let view = views[index];
-      let offset = offset_from_view(view, pose, ray, d);
-      let place = locate(view, offset);
-      if (!is_inside(view, place)) {
-        continue;
-      }
-      if (HAS_DEPTH) {
-        if (is_occluded(view, place, d)) {
-          continue;
-        }
-      }
-      found++;
-      let own = ray_penalty(view, pose, ray, d, offset) + border_penalty(view, place);
-      // Four in order; the first found stays before an equal one.
-      if (own < penalty.w) {
-        penalty.w = own;
-        best.w = index;
-        if (penalty.w < penalty.z) {
-          penalty = penalty.xywz;
-          best = best.xywz;
-        }
-        if (penalty.z < penalty.y) {
-          penalty = penalty.xzyw;
-          best = best.xzyw;
-        }
-        if (penalty.y < penalty.x) {
-          penalty = penalty.yxzw;
-          best = best.yxzw;
-        }
+      best = ranked(best, index, pose, ray, d);
+    }
+    return best;
+  }
+  for (var point = 0u; point < OUTLOOK; point++) {
+    let at = workspace_of(slot) + 2u * point;
+    let found = workspace[at];
+    let share = bitcast<vec4<f32>>(workspace[at + 1u]);
+    for (var rank = 0u; rank < found.w; rank++) {
+      // The same view may be found at many points.
+      if (share[rank] > 0.0 && all(best.views != vec4(found[rank]))) {
+        best = ranked(best, found[rank], pose, ray, d);
       }
     }
   }
+  return best;
+}
+
+// Writes the best views of one point, and weights with sum 1 that fall to zero where the next best
+// view takes over.
+fn weigh_point(slot: u32, pose: Pose, point: u32) {
+  let pixel = pixel_of_point(point);
+  let d = surface_at(slot, pose, pixel);
+  var best = Best(vec4(NO_VIEW), vec4(LARGEST));
+  if (d > 0.0) {
+    let ray = ray_of(pose, f32(pixel.x), f32(pixel.y));
+    best = best_views(slot, pose, ray, d, point < OUTLOOK || !is_narrowed());
+  }
+  let penalty = best.penalties;
   var share = vec3(1.0);
-  if (found > VIEWS_PER_CORNER) {
+  if (best.views.w != NO_VIEW) {
     share = max(1.0 - penalty.xyz / max(penalty.w, 2.0 * SMALLEST_PENALTY), vec3(0.0));
   }
   share /= max(penalty.xyz, vec3(SMALLEST_PENALTY));
-  let count = min(found, VIEWS_PER_CORNER);
-  share = select(vec3(0.0), share, vec3(0u, 1u, 2u) < vec3(count));
+  let shown = best.views.xyz != vec3(NO_VIEW);
+  share = select(vec3(0.0), share, shown);
+  let found = select(vec3(0u), vec3(1u), shown);
+  let count = found.x + found.y + found.z;
   let total = share.x + share.y + share.z;
   if (total > 0.0) {
     share /= total;
   } else {
     share = vec3(1.0 / f32(max(count, 1u)));
   }
-  let at = workspace_of(slot) + 2u * corner;
-  workspace[at] = vec4(best.xyz, count);
+  let at = workspace_of(slot) + 2u * point;
+  workspace[at] = vec4(best.views.xyz, count);
   workspace[at + 1u] = bitcast<vec4<u32>>(vec4(share, 0.0));
 }
 
 // Writes the views of a tile's corners and each one's weights at all four.
 fn join_corners(slot: u32, tile: u32) {
   let columns = settings.tiles.x + 1u;
-  let upper = (tile / settings.tiles.x) * columns + tile % settings.tiles.x;
+  let upper = OUTLOOK + (tile / settings.tiles.x) * columns + tile % settings.tiles.x;
   var members: array<u32, 12>;
   var weights: array<vec4<f32>, 12>;
   for (var member = 0u; member < VIEWS_PER_TILE; member++) {
@@ -168,10 +225,16 @@ fn join_corners(slot: u32, tile: u32) {
   }
 }
 
-// Both steps, by one workgroup.
+// All steps, by one workgroup.
 fn build_cells(slot: u32, pose: Pose, lane: u32, lanes: u32) {
-  for (var corner = lane; corner < corner_count(); corner += lanes) {
-    weigh_corner(slot, pose, corner);
+  if (is_narrowed()) {
+    for (var point = lane; point < OUTLOOK; point += lanes) {
+      weigh_point(slot, pose, point);
+    }
+    storageBarrier();
+  }
+  for (var point = OUTLOOK + lane; point < point_count(); point += lanes) {
+    weigh_point(slot, pose, point);
   }
   storageBarrier();
   for (var tile = lane; tile < tile_count(); tile += lanes) {
