@@ -15,15 +15,18 @@ from pipelines.artifacts.array_types import FloatArray, IntArray
 from pipelines.geometry.camera import Intrinsics
 from pipelines.lightfield.compiled import source_stamp
 from pipelines.lightfield.net import pixel_weights
+from pipelines.lightfield.net_cell_kernels import net_room_for
 from pipelines.lightfield.net_kernels import build_net
-from pipelines.lightfield.triangulation import GHOST, delaunay
+from pipelines.lightfield.triangulation import GHOST, delaunay, triangulation_for
 from tests.lightfield_samples import looking, pinhole, pixels_of
 
 
 def triangulate(points: FloatArray) -> tuple[IntArray, IntArray]:
     """Triangles (t, 3) and hull edges (h, 2) of ``delaunay``."""
-    triangles = np.full((4 * len(points) + 8, 3), -7, dtype=np.int64)
-    total = delaunay(np.ascontiguousarray(points, dtype=np.float64), triangles)
+    room = triangulation_for(len(points))
+    triangles = room.triangles
+    triangles[:] = -7
+    total = delaunay(np.ascontiguousarray(points, dtype=np.float64), len(points), room)
     assert 0 <= total <= len(triangles)
     used = triangles[:total]
     assert np.all(triangles[total:] == -7) or total > 0
@@ -134,10 +137,10 @@ def test_corners_up_to_infinity_are_triangulated() -> None:
 @pytest.mark.parametrize("count", [3, 4, 9])
 def test_points_on_a_line_have_no_triangles(count: int) -> None:
     steps = np.random.default_rng(count).permutation(count).astype(np.float64)
-    triangles = np.empty((4 * count + 8, 3), dtype=np.int64)
+    room = triangulation_for(count)
     for direction in ([1.0, 0.0], [0.0, 1.0], [3.0, -2.0], [1.0, np.pi]):
         points = 1e3 + steps[:, None] * np.array(direction)
-        assert delaunay(points, triangles) == 0
+        assert delaunay(points, count, room) == 0
 
 
 def test_a_few_triangulations_by_hand() -> None:
@@ -163,10 +166,10 @@ def kernel_weights(
     label = np.full((camera.height, camera.width), -9, dtype=np.int64)
     cells = build_net(
         centres,
-        np.ascontiguousarray(pose[:3, 3]),
-        np.ascontiguousarray(pose[:3, :3]),
+        pose,
         camera.vector(),
         np.ones(count, dtype=np.bool_) if visible is None else np.array(visible),
+        net_room_for(count),
         views,
         coefficients,
         label,

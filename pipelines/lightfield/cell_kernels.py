@@ -14,7 +14,7 @@ from pipelines.artifacts.array_types import (
     Int32Array,
     IntArray,
 )
-from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_part
+from pipelines.lightfield.compiled import compiled_leaf, compiled_part
 from pipelines.lightfield.mapping_kernels import is_inside, locate, view_mapping
 from pipelines.lightfield.net_kernels import build_net
 from pipelines.lightfield.reference import FRUSTUM_SAMPLES
@@ -40,7 +40,7 @@ STRIDE = 8
 NO_VIEW, DONE = -1, -2
 
 
-@compiled
+@compiled_leaf
 def set_net(
     field: LightField,
     pose: FloatArray,
@@ -69,10 +69,10 @@ def set_net(
         space.takes_part[view] = sees
     cells = build_net(
         views.centres,
-        pose[:3, 3],
-        pose[:3, :3],
+        pose,
         intrinsics,
         space.takes_part,
+        space.room,
         space.cell_views,
         space.cell_weights,
         space.labels,
@@ -82,7 +82,7 @@ def set_net(
     return cells
 
 
-@compiled
+@compiled_leaf
 def _order_by_label(labels: IntArray, cells: int, space: Workspace) -> None:
     """Writes the pixels cell by cell."""
     starts = space.starts
@@ -331,6 +331,8 @@ def _blend_chunk(
             np.int32(level_size[view, level, 1]),
             np.float32(full_width),
             np.float32(full_height),
+            np.float32(level_size[view, level, 0] / full_width),
+            np.float32(level_size[view, level, 1] / full_height),
         )
         if here > 0:
             if has_depth:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray, IntArray
 from pipelines.geometry.camera import Intrinsics
 from pipelines.lightfield.compiled import compiled
+from pipelines.lightfield.net_cell_kernels import net_room_for
 from pipelines.lightfield.net_kernels import build_net
 
 WordArray = NDArray[np.uint32]
@@ -145,14 +146,14 @@ def _cut(
     labels: IntArray,
 ) -> int:
     """Writes the nets of B poses; returns the number of cells of the largest."""
-    most = 0
+    most, room = 0, net_room_for(len(centres))
     for index in range(len(poses)):
         cells = build_net(
             centres,
-            poses[index, :3, 3],
-            poses[index, :3, :3],
+            poses[index],
             intrinsics,
             visible[index],
+            room,
             views[index],
             weights[index],
             labels[index],

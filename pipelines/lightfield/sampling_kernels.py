@@ -164,6 +164,8 @@ def place_samples(
     height: np.int32,
     full_width: np.float32,
     full_height: np.float32,
+    scale_x: np.float32,
+    scale_y: np.float32,
 ) -> tuple[np.float32, np.float32]:
     """Where in a pyramid level of a view a chunk's surface points lie, and with which weight.
 
@@ -178,6 +180,9 @@ def place_samples(
         height: likewise.
         full_width: of the view's finest level, and
         full_height: likewise.
+        scale_x: how many of the level's columns one of the finest level's is, and
+        scale_y: of its rows. Worked out here they would be divisions at every point: the compiler
+            may move them.
 
     Returns:
         How many of the points the view shows on this level, and how many on other levels. All
@@ -193,7 +198,6 @@ def place_samples(
     m5, m6, m7, m8 = coefficients[5], coefficients[6], coefficients[7], coefficients[8]
     s0, s1, s2 = coefficients[9], coefficients[10], coefficients[11]
     right, bottom = full_width - HALF, full_height - HALF
-    scale_x, scale_y = np.float32(width) / full_width, np.float32(height) / full_height
     last_x, last_y = np.float32(width - 1), np.float32(height - 1)
     # The texel on the right and the row below are there; at the border they get all the weight.
     last_left, last_top = max(last_x - ONE, ZERO), max(last_y - ONE, ZERO)

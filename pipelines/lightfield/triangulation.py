@@ -11,28 +11,59 @@ across edges only, and goes on growing until the point sees the whole rim: the r
 triangulation in any case, and the Delaunay triangulation to within rounding.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pipelines.artifacts.array_types import BoolArray, FloatArray, IntArray
-from pipelines.lightfield.compiled import compiled, compiled_leaf
+from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_part
 from pipelines.lightfield.net import SMALLEST_AREA
 
 GHOST = -1
 
 
+class Triangulation(NamedTuple):
+    """The triangles between up to n points, and memory for finding them.
+
+    Attributes:
+        triangles: ``(4 n + 8, 3)`` indices of the corners; in a ghost triangle the third one is
+            ``GHOST`` and the first two are a hull edge with the hull on its right.
+        edges: ``(12 n + 24, 2)`` of the rim of a hole.
+        conflicting: ``(4 n + 8,)`` triangles in whose circumcircle a point lies.
+        removed: ``(4 n + 8,)`` which triangles make way for a point.
+    """
+
+    triangles: IntArray
+    edges: IntArray
+    conflicting: IntArray
+    removed: BoolArray
+
+
 @compiled
-def delaunay(points: FloatArray, triangles: IntArray) -> int:
-    """Delaunay triangulation of distinct points (n, 2) that are not all on a line.
+def triangulation_for(count: int) -> Triangulation:
+    """Memory for the triangulation of so many points."""
+    most = 4 * count + 8
+    return Triangulation(
+        np.empty((most, 3), np.int64),
+        np.empty((3 * most, 2), np.int64),
+        np.empty(most, np.int64),
+        np.empty(most, np.bool_),
+    )
+
+
+@compiled_part
+def delaunay(points: FloatArray, count: int, room: Triangulation) -> int:
+    """Delaunay triangulation of distinct points that are not all on a line.
 
     Args:
-        points: pixels.
-        triangles: (t, 3) receives corner indices, t >= 4 n; in a ghost triangle the third corner
-            is ``GHOST`` and the first two are a hull edge with the hull on its right.
+        points: (n, 2) pixels, of which the first
+        count: are to be triangulated.
+        room: receives the triangles.
 
     Returns:
         The number of triangles, ghosts included; 0 where all points lie on a line.
     """
-    count = len(points)
+    triangles = room.triangles
     third = -1
     for candidate in range(2, count):
         if turn(points[0], points[1], points[candidate]) != 0.0:
@@ -50,12 +81,11 @@ def delaunay(points: FloatArray, triangles: IntArray) -> int:
         # Seen from outside, a hull edge runs the other way round.
         triangles[i + 1, 0], triangles[i + 1, 1] = start[(i + 1) % 3], start[i]
         triangles[i + 1, 2] = GHOST
-    edges = np.empty((3 * len(triangles), 2), dtype=np.int64)
-    conflicting = np.empty(len(triangles), dtype=np.int64)
-    removed = np.empty(len(triangles), dtype=np.bool_)
     for index in range(2, count):
         if index != third:
-            total = _insert(points, triangles, total, index, edges, conflicting, removed)
+            total = _insert(
+                points, triangles, total, index, room.edges, room.conflicting, room.removed
+            )
     return total
 
 
@@ -107,7 +137,7 @@ def _depth_inside(points: FloatArray, triangle: IntArray, p: FloatArray) -> floa
     return float(depth)
 
 
-@compiled
+@compiled_leaf
 def _insert(
     points: FloatArray,
     triangles: IntArray,
@@ -139,7 +169,8 @@ def _insert(
     grows = True
     while grows:
         grows = False
-        for row in conflicting[:conflicts]:
+        for number in range(conflicts):
+            row = conflicting[number]
             if not removed[row] and _touches_region(triangles[row], edges, edge_count):
                 removed[row] = True
                 edge_count = _add_to_region(triangles[row], edges, edge_count)
@@ -169,7 +200,7 @@ def _insert(
     return kept
 
 
-@compiled
+@compiled_leaf
 def _row_behind_hidden_edge(
     points: FloatArray,
     triangles: IntArray,

@@ -14,6 +14,7 @@ from pipelines.artifacts.array_types import (
 from pipelines.lightfield.blending import VIEWS_PER_TILE
 from pipelines.lightfield.blending_kernels import Tiling, order_by_tile, tile_count, tiling_for
 from pipelines.lightfield.compiled import compiled
+from pipelines.lightfield.net_cell_kernels import NetRoom, net_room_for
 from pipelines.lightfield.sampling_kernels import COEFFICIENTS, LANES, ROW_LENGTH, SCRATCH_SIZE
 from pipelines.lightfield.view_index import ViewIndex
 from pipelines.lightfield.views import ViewArrays
@@ -53,6 +54,7 @@ class Workspace(NamedTuple):
         cell_weights: ``(c, VIEWS_PER_TILE, 4)`` coefficients of x, y, 1, x y, relative to
         cell_origins: ``(c, 2)`` columns and rows.
         tiling: how views are chosen for tiles; of the smallest image where cells are a net's.
+        room: of the net, for no views where there is none.
         labels: ``(H, W)`` each pixel's cell of the net.
         starts: ``(c + 1,)`` where cells begin in the order of the pixels.
         columns: ``(H W + LANES,)`` places of the pixels in that order, and
@@ -75,6 +77,7 @@ class Workspace(NamedTuple):
     cell_weights: FloatArray
     cell_origins: FloatArray
     tiling: Tiling
+    room: NetRoom
     labels: IntArray
     starts: IntArray
     columns: Float32Array
@@ -118,6 +121,7 @@ def workspace_for(field: LightField, width: int, height: int) -> Workspace:
         np.empty((cells, VIEWS_PER_TILE, 4)),
         origins,
         tiling,
+        net_room_for(count if field.is_net else 0),
         labels,
         starts,
         columns,
