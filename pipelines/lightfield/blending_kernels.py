@@ -124,31 +124,14 @@ def tile_borders(size: int) -> IntArray:
 
 
 @compiled
-def order_by_tile(
-    width: int, height: int, columns: Float32Array, rows: Float32Array, starts: IntArray
-) -> None:
-    """Writes the pixels of an image tile by tile.
-
-    Args:
-        width: of the image, and
-        height: of it.
-        columns: (H W,) and
-        rows: (H W,) receive the pixels' places.
-        starts: (c + 1,) receives where each tile begins, and the end.
-    """
-    across, down = tile_borders(width), tile_borders(height)
-    count, cell = 0, 0
+def set_labels(across: IntArray, down: IntArray, labels: IntArray) -> None:
+    """Writes the tile in which each pixel (H, W) lies, given the columns and rows of corners."""
+    height, width = labels.shape
     for i in range(len(down) - 1):
         last_row = down[i + 1] if i + 2 < len(down) else height
         for j in range(len(across) - 1):
             last_column = across[j + 1] if j + 2 < len(across) else width
-            starts[cell] = count
-            cell += 1
-            for y in range(down[i], last_row):
-                for x in range(across[j], last_column):
-                    columns[count], rows[count] = x, y
-                    count += 1
-    starts[cell] = count
+            labels[down[i] : last_row, across[j] : last_column] = i * (len(across) - 1) + j
 
 
 @compiled

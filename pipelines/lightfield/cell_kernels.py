@@ -17,6 +17,7 @@ from pipelines.artifacts.array_types import (
 from pipelines.lightfield.compiled import compiled_leaf, compiled_part
 from pipelines.lightfield.mapping_kernels import is_inside, locate, view_mapping
 from pipelines.lightfield.net_kernels import build_net
+from pipelines.lightfield.pixel_order_kernels import PixelOrder, order_by_label
 from pipelines.lightfield.reference import FRUSTUM_SAMPLES
 from pipelines.lightfield.sampling_kernels import (
     CHUNK,
@@ -34,8 +35,6 @@ from pipelines.lightfield.workspace import MOST_MEMBERS, LightField, Workspace
 # On a pyramid level a pixel spans about one: levels change where it spans sqrt(2) 2^k of the finest
 # one's, at these depths times the ratio of focal lengths.
 LEVEL_BORDERS = np.sqrt(2.0) / 2.0 ** np.arange(32)
-# Pixels that are passed over at once where a row's labels stay the same.
-STRIDE = 8
 # In the list of a cell's views: the end, and a view that was shown with an earlier cell.
 NO_VIEW, DONE = -1, -2
 
@@ -78,52 +77,8 @@ def set_net(
         space.labels,
     )
     if cells > 0:
-        _order_by_label(space.labels, cells, space)
+        order_by_label(space.labels, cells, space.order)
     return cells
-
-
-@compiled_leaf
-def _order_by_label(labels: IntArray, cells: int, space: Workspace) -> None:
-    """Writes the pixels cell by cell."""
-    starts = space.starts
-    starts[: cells + 1] = 0
-    height, width = labels.shape
-    for y in range(height):
-        first = 0
-        while first < width:
-            last = _end_of_run(labels, y, first, width)
-            starts[labels[y, first] + 1] += last - first
-            first = last
-    for cell in range(cells):
-        starts[cell + 1] += starts[cell]
-    for y in range(height):
-        first = 0
-        while first < width:
-            last = _end_of_run(labels, y, first, width)
-            place = np.uintp(starts[labels[y, first]])
-            starts[labels[y, first]] += last - first
-            for i in range(np.uintp(last - first)):
-                space.columns[place + i] = np.float32(first + np.int32(i))
-                space.rows[place + i] = np.float32(y)
-                space.pixels[place + i] = y * width + first + np.int32(i)
-            first = last
-    # Each start has moved to the next one's place.
-    for cell in range(cells, 0, -1):
-        starts[cell] = starts[cell - 1]
-    starts[0] = 0
-
-
-@compiled_leaf
-def _end_of_run(labels: IntArray, y: int, first: int, width: int) -> int:
-    """The column behind the last of the pixels that share their label with the first.
-
-    Cells are convex, so that what lies between two pixels of one is of it too.
-    """
-    last = first + 1
-    for step in (STRIDE, 1):
-        while last + step <= width and labels[y, last + step - 1] == labels[y, first]:
-            last += step
-    return last
 
 
 @compiled_part
@@ -136,11 +91,7 @@ def blend_cells(
     cell_views: IntArray,
     cell_weights: FloatArray,
     cell_origins: FloatArray,
-    starts: IntArray,
-    columns: Float32Array,
-    rows: Float32Array,
-    surface: Float32Array,
-    pixels: Int32Array,
+    order: PixelOrder,
     space: Workspace,
     image: Float32Array,
 ) -> None:
@@ -157,15 +108,11 @@ def blend_cells(
         cell_views: (c, k) views of each cell, -1 behind the last; changed.
         cell_weights: (c, k, 4) coefficients of x, y, 1, x y, relative to
         cell_origins: (c, 2) columns and rows.
-        starts: (c + 1,) where cells begin in the order of the pixels.
-        columns: (P + LANES,) places of the pixels in that order, and
-        rows: likewise, and
-        surface: their inverse depths, and
-        pixels: their indices.
+        order: the pixels in the cells' order, with their inverse depths.
         space: maps, shifts and scratch are changed.
-        image: (H W, 4) sums of weighted colours and of 255 times the weights, changed.
+        image: (P, 4) sums of weighted colours and of 255 times the weights, changed.
     """
-    members = space.members
+    members, starts = space.members, order.starts
     for cell in range(cells):
         first = starts[cell]
         for slot in range(cell_views.shape[1]):
@@ -189,10 +136,10 @@ def blend_cells(
                     cell_weights,
                     cell_origins,
                     starts,
-                    columns,
-                    rows,
-                    surface,
-                    pixels,
+                    order.columns,
+                    order.rows,
+                    order.surface,
+                    order.pixels,
                     field.views.projection,
                     field.views.focal,
                     field.views.texels,

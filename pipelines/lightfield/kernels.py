@@ -12,14 +12,14 @@ from typing import cast
 
 import numpy as np
 
-from pipelines.artifacts.array_types import Float32Array, FloatArray
+from pipelines.artifacts.array_types import Float32Array, FloatArray, Int32Array
 from pipelines.lightfield.blending_kernels import build_tiles
 from pipelines.lightfield.cell_kernels import blend_cells, set_net
 from pipelines.lightfield.comparison import compare
 from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_loop
 from pipelines.lightfield.mapping_kernels import virtual_rays
+from pipelines.lightfield.pixel_order_kernels import pixel_order_for
 from pipelines.lightfield.reference import SMALLEST_WEIGHT
-from pipelines.lightfield.sampling_kernels import LANES
 from pipelines.lightfield.substitute_kernels import find_substitutes
 from pipelines.lightfield.workspace import LightField, Workspace, workspace_for
 
@@ -72,16 +72,17 @@ def _show_cells(
         pose: (4, 4) world_from_camera.
         intrinsics: (4,) fx, fy, cx, cy.
         cells: their number.
-        surface: (P,) inverse depths.
+        surface: (H W,) inverse depths.
         space: changed.
-        image: (P, 4) receives the view.
+        image: (P, 4) receives the view's P pixels that are rendered.
         colours: (4 P,) the same memory.
 
     Returns:
         How many pixels none of the views of their cells shows.
     """
-    for i in range(len(surface)):
-        space.surface[i] = surface[space.pixels[i]]
+    order = space.order
+    for i in range(len(order.indices)):
+        order.surface[i] = surface[order.indices[i]]
     for i in range(len(colours)):
         colours[i] = ZERO
     blend_cells(
@@ -93,11 +94,7 @@ def _show_cells(
         space.cell_views,
         space.cell_weights,
         space.cell_origins,
-        space.starts,
-        space.columns,
-        space.rows,
-        space.surface,
-        space.pixels,
+        order,
         space,
         image,
     )
@@ -123,22 +120,23 @@ def _show_substitutes(
         intrinsics: (4,) fx, fy, cx, cy.
         empty: how many pixels these are.
         width: of the virtual image.
-        surface: (P,) inverse depths.
+        surface: (H W,) inverse depths.
         space: changed.
         image: (P, 4) changed.
     """
-    pixels, cell_views = np.empty(empty, np.int32), np.empty((empty, 1), np.int64)
+    found, cell_views = np.empty(empty, np.int32), np.empty((empty, 1), np.int64)
     cells = find_substitutes(
-        field, pose, intrinsics, surface, width, image, space, pixels, cell_views
+        field, pose, intrinsics, surface, width, image, space, found, cell_views
     )
     if cells == 0:
         return
-    columns, rows = np.zeros(cells + LANES, np.float32), np.zeros(cells + LANES, np.float32)
-    depths = np.zeros(cells + LANES, np.float32)
     cell_weights, cell_origins = np.zeros((cells, 1, 4)), np.zeros((cells, 2))
+    order = pixel_order_for(space.order.chosen[found[:cells]], width, cells)
     for i in range(cells):
-        columns[i], rows[i] = pixels[i] % width, pixels[i] // width
-        depths[i] = surface[pixels[i]]
+        order.starts[i + 1] = i + 1
+        order.columns[i], order.rows[i] = order.chosen_columns[i], order.chosen_rows[i]
+        order.surface[i] = surface[order.chosen[i]]
+        order.pixels[i] = found[i]
         cell_weights[i, 0, 2] = 1.0
     blend_cells(
         field,
@@ -149,16 +147,12 @@ def _show_substitutes(
         cell_views,
         cell_weights,
         cell_origins,
-        np.arange(cells + 1),
-        columns,
-        rows,
-        depths,
-        pixels,
+        order,
         space,
         image,
     )
     for i in range(cells):
-        image[pixels[i], 3] = ONE
+        image[found[i], 3] = ONE
 
 
 @compiled
@@ -167,6 +161,7 @@ def render_tiles(
     poses: FloatArray,
     intrinsics: FloatArray,
     surfaces: Float32Array,
+    chosen: Int32Array,
     query: Float32Array,
     kind: int,
     fit_gain: bool,
@@ -180,15 +175,16 @@ def render_tiles(
         poses: (B, 4, 4) world_from_camera.
         intrinsics: (4,) fx, fy, cx, cy.
         surfaces: (B, H, W) virtual inverse depths; 0: none.
-        query: (H, W, 4) camera image, see ``comparison.prepared``.
+        chosen: (P,) int32 indices of the pixels that are rendered, rising; P is H W for all.
+        query: camera image, see ``comparison.prepared``: (H, W, 4) or, of some pixels, (1, P, 4).
         kind: a ``Cost``, or ``NO_COMPARISON``.
         fit_gain: whether a brightness factor is fitted before the comparison.
-        images: (B, H, W, 4) receives RGB in 0 to 255, and 1 where any view shows the pixel; all
-            zero elsewhere. For a comparison (1, H, W, 4) are enough.
+        images: (B, H, W, 4), or (B, 1, P, 4), receives RGB in 0 to 255, and 1 where any view shows
+            the pixel; all zero elsewhere. For a comparison one is enough.
         costs: (B,) receives the costs.
     """
-    height, width = images.shape[1:3]
-    space = workspace_for(field, width, height)
+    height, width = surfaces.shape[1:]
+    space = workspace_for(field, width, height, chosen)
     for index in range(len(poses)):
         pose, surface = poses[index], surfaces[index].reshape(-1)
         image = images[index % len(images)]
@@ -221,6 +217,7 @@ def render_nets(
     poses: FloatArray,
     intrinsics: FloatArray,
     surfaces: Float32Array,
+    chosen: Int32Array,
     query: Float32Array,
     kind: int,
     fit_gain: bool,
@@ -228,8 +225,8 @@ def render_nets(
     costs: FloatArray,
 ) -> None:
     """Like ``render_tiles``, by the Delaunay net."""
-    height, width = images.shape[1:3]
-    space = workspace_for(field, width, height)
+    height, width = surfaces.shape[1:]
+    space = workspace_for(field, width, height, chosen)
     for index in range(len(poses)):
         pose, surface = poses[index], surfaces[index].reshape(-1)
         image = images[index % len(images)]

@@ -8,7 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray, ImageArray
+from pipelines.artifacts.array_types import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    ImageArray,
+    Int32Array,
+)
 from pipelines.artifacts.errors import OptionError, StageError
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
@@ -228,12 +234,19 @@ class Renderer:
         check_query(query, intrinsics)
         poses = np.ascontiguousarray(world_from_camera, dtype=np.float64)
         target, costs = prepared(query), np.empty(len(poses))
-        pixels = intrinsics.width * intrinsics.height
+        chosen = every_pixel(intrinsics)
+        # Gradients are differences between neighbours; else what is not compared is not rendered.
+        if cost is not Cost.GRADIENT:
+            chosen = np.flatnonzero(target[..., 3]).astype(np.int32)
+            target = np.ascontiguousarray(target.reshape(1, -1, 4)[:, chosen])
 
         def score(part: slice) -> None:
             image = np.empty((1, *target.shape), dtype=np.float32)
-            self._render(poses[part], intrinsics, target, int(cost), fit_gain, image, costs[part])
+            self._render(
+                poses[part], intrinsics, chosen, target, int(cost), fit_gain, image, costs[part]
+            )
 
+        pixels = intrinsics.width * intrinsics.height
         together = max(1, min(POSES_TOGETHER, SURFACE_PIXELS_TOGETHER // pixels))
         list(self._pool.map(score, self._parts(len(poses), together)))
         return costs
@@ -251,13 +264,17 @@ class Renderer:
         shape = (len(poses), intrinsics.height, intrinsics.width)
         images = np.empty((*shape, 4), dtype=np.float32)
         no_query, no_costs = np.empty((0, 0, 4), dtype=np.float32), np.empty(0)
-        surfaces = self._render(poses, intrinsics, no_query, NO_COMPARISON, False, images, no_costs)
+        chosen = every_pixel(intrinsics)
+        surfaces = self._render(
+            poses, intrinsics, chosen, no_query, NO_COMPARISON, False, images, no_costs
+        )
         return images, surfaces
 
     def _render(
         self,
         poses: FloatArray,
         intrinsics: Intrinsics,
+        chosen: Int32Array,
         query: Float32Array,
         kind: int,
         fit_gain: bool,
@@ -274,13 +291,18 @@ class Renderer:
             usual = self._usual_inverse_depth
             depth_surfaces(self.views.arrays, usual, poses, vector, spacing, surfaces)
         render = render_nets if self._field.is_net else render_tiles
-        render(self._field, poses, vector, surfaces, query, kind, fit_gain, images, costs)
+        render(self._field, poses, vector, surfaces, chosen, query, kind, fit_gain, images, costs)
         return surfaces
 
     def _parts(self, count: int, most: int) -> Iterator[slice]:
         """Poses that are worked on in one call: at most so many, and some for every thread."""
         together = min(most, max(1, -(-count // self.threads)))
         return (slice(start, start + together) for start in range(0, count, together))
+
+
+def every_pixel(intrinsics: Intrinsics) -> Int32Array:
+    """Indices ``(H W,)`` of all pixels of an image."""
+    return np.arange(intrinsics.width * intrinsics.height, dtype=np.int32)
 
 
 def check_query(query: ImageArray | Float32Array, intrinsics: Intrinsics) -> None:

@@ -12,6 +12,7 @@ from pipelines.artifacts.array_types import Float32Array, FloatArray, Int32Array
 from pipelines.lightfield.compiled import compiled, compiled_leaf
 from pipelines.lightfield.mapping_kernels import is_inside, locate, view_mapping
 from pipelines.lightfield.net_kernels import project_centre
+from pipelines.lightfield.pixel_order_kernels import PixelOrder
 from pipelines.lightfield.ranking_kernels import is_occluded
 from pipelines.lightfield.workspace import LightField, Workspace
 
@@ -40,21 +41,21 @@ def _may_show(
 def _set_box(
     image: Float32Array,
     surface: Float32Array,
-    width: int,
-    first_row: int,
-    last_row: int,
+    order: PixelOrder,
+    first: int,
+    last: int,
     box: FloatArray,
 ) -> bool:
-    """Writes the box around the uncovered pixels of some rows; False where there are none."""
+    """Writes the box around the uncovered ones of some pixels; False where there are none."""
     for i in range(3):
         box[2 * i], box[2 * i + 1] = np.inf, -np.inf
     found = False
-    for pixel in range(first_row * width, last_row * width):
-        d = np.float64(surface[pixel])
-        if image[pixel, 3] > 0.0 or d <= 0.0:
+    for i in range(first, last):
+        d = np.float64(surface[order.chosen[i]])
+        if image[i, 3] > 0.0 or d <= 0.0:
             continue
         found = True
-        x, y = np.float64(pixel % width), np.float64(pixel // width)
+        x, y = np.float64(order.chosen_columns[i]), np.float64(order.chosen_rows[i])
         box[0], box[1] = min(box[0], x), max(box[1], x)
         box[2], box[3] = min(box[2], y), max(box[3], y)
         box[4], box[5] = min(box[4], d), max(box[5], d)
@@ -79,21 +80,21 @@ def find_substitutes(
         field: the light field.
         pose: (4, 4) world_from_camera.
         intrinsics: (4,) fx, fy, cx, cy.
-        surface: (P,) inverse depths; 0: there is no surface.
+        surface: (H W,) inverse depths; 0: there is no surface.
         width: of the virtual image.
         image: (P, 4) where the last number is 0, the pixel is not covered.
         space: maps and shifts are changed.
-        pixels: int32, as many as are uncovered; receives those that a view shows, and
+        pixels: int32, as many as are uncovered; receives those of the P that a view shows, and
         chosen: (., 1) the views.
 
     Returns:
         How many these are.
     """
-    views, height = field.views, len(surface) // width
-    count = len(views.centres)
+    views, order = field.views, space.order
+    count, pixel_count = len(views.centres), len(order.chosen)
     everywhere, here = np.empty(count, np.int64), np.empty(count, np.int64)
     box = np.empty(6)
-    if not _set_box(image, surface, width, 0, height, box):
+    if not _set_box(image, surface, order, 0, pixel_count, box):
         return 0
     candidates = 0
     for view in range(count):
@@ -105,9 +106,12 @@ def find_substitutes(
         if _may_show(space.maps, space.shifts, views.level_size, view, box):
             everywhere[candidates] = view
             candidates += 1
-    found = 0
-    for row in range(height):
-        if candidates == 0 or not _set_box(image, surface, width, row, row + 1, box):
+    found, last = 0, 0
+    while last < pixel_count and candidates > 0:
+        first, row = last, order.chosen_rows[last]
+        while last < pixel_count and order.chosen_rows[last] == row:
+            last += 1
+        if not _set_box(image, surface, order, first, last, box):
             continue
         in_row = 0
         for number in range(candidates):
@@ -115,12 +119,13 @@ def find_substitutes(
             if _may_show(space.maps, space.shifts, views.level_size, view, box):
                 here[in_row] = view
                 in_row += 1
-        for pixel in range(row * width + int(box[0]), row * width + int(box[1]) + 1):
-            if in_row == 0 or image[pixel, 3] > 0.0 or surface[pixel] <= 0.0:
+        for i in range(first, last):
+            pixel = order.chosen[i]
+            if in_row == 0 or image[i, 3] > 0.0 or surface[pixel] <= 0.0:
                 continue
             view = _nearest(field, pose, intrinsics, pixel, width, surface, here, in_row, space)
             if view >= 0:
-                pixels[found], chosen[found, 0] = pixel, view
+                pixels[found], chosen[found, 0] = i, view
                 found += 1
     return found
 

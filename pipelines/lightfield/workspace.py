@@ -12,10 +12,15 @@ from pipelines.artifacts.array_types import (
     IntArray,
 )
 from pipelines.lightfield.blending import VIEWS_PER_TILE
-from pipelines.lightfield.blending_kernels import Tiling, order_by_tile, tile_count, tiling_for
+from pipelines.lightfield.blending_kernels import Tiling, set_labels, tile_count, tiling_for
 from pipelines.lightfield.compiled import compiled
 from pipelines.lightfield.net_cell_kernels import NetRoom, net_room_for
-from pipelines.lightfield.sampling_kernels import COEFFICIENTS, LANES, ROW_LENGTH, SCRATCH_SIZE
+from pipelines.lightfield.pixel_order_kernels import (
+    PixelOrder,
+    order_by_label,
+    pixel_order_for,
+)
+from pipelines.lightfield.sampling_kernels import COEFFICIENTS, ROW_LENGTH, SCRATCH_SIZE
 from pipelines.lightfield.view_index import ViewIndex
 from pipelines.lightfield.views import ViewArrays
 
@@ -55,12 +60,8 @@ class Workspace(NamedTuple):
         cell_origins: ``(c, 2)`` columns and rows.
         tiling: how views are chosen for tiles; of the smallest image where cells are a net's.
         room: of the net, for no views where there is none.
-        labels: ``(H, W)`` each pixel's cell of the net.
-        starts: ``(c + 1,)`` where cells begin in the order of the pixels.
-        columns: ``(H W + LANES,)`` places of the pixels in that order, and
-        rows: likewise, and
-        surface: their inverse depths, and
-        pixels: int32 their indices.
+        labels: ``(H, W)`` each pixel's cell.
+        order: the pixels that are rendered, by cell.
         members: ``(MOST_MEMBERS, 2)`` cells that are worked on together.
         scratch: of a chunk, see ``sampling_kernels``.
         offsets: ``(CHUNK,)`` int32.
@@ -79,11 +80,7 @@ class Workspace(NamedTuple):
     tiling: Tiling
     room: NetRoom
     labels: IntArray
-    starts: IntArray
-    columns: Float32Array
-    rows: Float32Array
-    surface: Float32Array
-    pixels: Int32Array
+    order: PixelOrder
     members: IntArray
     scratch: Float32Array
     offsets: Int32Array
@@ -92,25 +89,27 @@ class Workspace(NamedTuple):
 
 
 @compiled
-def workspace_for(field: LightField, width: int, height: int) -> Workspace:
-    """Memory for rendering views of one size; where cells do not change, they are set."""
-    count, pixels = len(field.views.centres), width * height
+def workspace_for(field: LightField, width: int, height: int, chosen: Int32Array) -> Workspace:
+    """Memory for rendering some pixels of views of one size; cells that do not change are set.
+
+    Args:
+        field: the light field.
+        width: of the virtual images, and
+        height: of them.
+        chosen: (P,) int32 the pixels, rising.
+    """
+    count = len(field.views.centres)
     cells = 4 * count + 8 if field.is_net else tile_count(width) * tile_count(height)
-    labels = np.empty((height, width) if field.is_net else (1, 1), np.int64)
-    starts = np.zeros(cells + 1, np.int64)
-    columns, rows = np.zeros(pixels + LANES, np.float32), np.zeros(pixels + LANES, np.float32)
-    order = np.zeros(pixels, np.int32)
+    labels, origins = np.zeros((height, width), np.int64), np.zeros((cells, 2))
     size = (1, 1) if field.is_net else (width, height)
     tiling = tiling_for(size[0], size[1], count, len(field.view_index.spheres))
-    origins = np.zeros((cells, 2))
+    order = pixel_order_for(chosen, width, cells)
     if not field.is_net:
-        for i in range(len(tiling.down) - 1):
-            for j in range(len(tiling.across) - 1):
-                cell = i * (len(tiling.across) - 1) + j
-                origins[cell, 0], origins[cell, 1] = tiling.across[j], tiling.down[i]
-        order_by_tile(width, height, columns, rows, starts)
-        for i in range(pixels):
-            order[i] = np.int32(rows[i]) * width + np.int32(columns[i])
+        set_labels(tiling.across, tiling.down, labels)
+        order_by_label(labels, cells, order)
+        for cell in range(cells):
+            row, column = divmod(cell, len(tiling.across) - 1)
+            origins[cell, 0], origins[cell, 1] = tiling.across[column], tiling.down[row]
     return Workspace(
         np.empty((3, 3)),
         np.empty((count, 3, 3)),
@@ -123,10 +122,6 @@ def workspace_for(field: LightField, width: int, height: int) -> Workspace:
         tiling,
         net_room_for(count if field.is_net else 0),
         labels,
-        starts,
-        columns,
-        rows,
-        np.zeros(pixels + LANES, np.float32),
         order,
         np.empty((MOST_MEMBERS, 2), np.int64),
         np.zeros(SCRATCH_SIZE, np.float32),
