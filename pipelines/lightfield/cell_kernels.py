@@ -26,17 +26,14 @@ from pipelines.lightfield.sampling_kernels import (
     chunk_coefficients,
     end_weights,
     leave_out_hidden,
-    load_chunk,
-    load_weights,
+    load_cell,
     place_samples,
 )
-from pipelines.lightfield.workspace import MOST_MEMBERS, LightField, Workspace
+from pipelines.lightfield.workspace import END, SLOTS, LightField, Links, Workspace
 
 # On a pyramid level a pixel spans about one: levels change where it spans sqrt(2) 2^k of the finest
 # one's, at these depths times the ratio of focal lengths.
 LEVEL_BORDERS = np.sqrt(2.0) / 2.0 ** np.arange(32)
-# In the list of a cell's views: the end, and a view that was shown with an earlier cell.
-NO_VIEW, DONE = -1, -2
 
 
 @compiled_leaf
@@ -81,6 +78,37 @@ def set_net(
     return cells
 
 
+@compiled_leaf
+def _link_cells(cells: int, cell_views: IntArray, starts: IntArray, links: Links) -> int:
+    """Chains the cells that show the same view, for each view.
+
+    Args:
+        cells: their number.
+        cell_views: (c, k) views of each cell, -1 behind the last.
+        starts: (c + 1,) where cells begin in the order of the pixels.
+        links: changed.
+
+    Returns:
+        How many views any cell shows.
+    """
+    count = 0
+    # From the last to the first, so that each chain runs from the first to the last.
+    for cell in range(cells - 1, -1, -1):
+        if starts[cell] == starts[cell + 1]:
+            continue
+        for slot in range(cell_views.shape[1]):
+            view = cell_views[cell, slot]
+            if view < 0:
+                break
+            if links.first[view] == END:
+                links.views[count] = view
+                count += 1
+            entry = cell * SLOTS + slot
+            links.next[entry] = links.first[view]
+            links.first[view] = entry
+    return count
+
+
 @compiled_part
 def blend_cells(
     field: LightField,
@@ -92,12 +120,13 @@ def blend_cells(
     cell_weights: FloatArray,
     cell_origins: FloatArray,
     order: PixelOrder,
+    links: Links,
     space: Workspace,
     image: Float32Array,
 ) -> None:
     """Adds to each pixel what the views of its cell show, times their weights.
 
-    Cells that follow each other and show the same view are worked on together.
+    View by view, as many pixels of its cells at a time as fit into a chunk.
 
     Args:
         field: the light field.
@@ -105,123 +134,93 @@ def blend_cells(
         pose: (4, 4) world_from_camera.
         focal: of the virtual camera, pixels.
         cells: their number.
-        cell_views: (c, k) views of each cell, -1 behind the last; changed.
+        cell_views: (c, k) views of each cell, -1 behind the last.
         cell_weights: (c, k, 4) coefficients of x, y, 1, x y, relative to
         cell_origins: (c, 2) columns and rows.
         order: the pixels in the cells' order, with their inverse depths.
+        links: for so many cells.
         space: maps, shifts and scratch are changed.
         image: (P, 4) sums of weighted colours and of 255 times the weights, changed.
     """
-    members, starts = space.members, order.starts
-    for cell in range(cells):
-        first = starts[cell]
-        for slot in range(cell_views.shape[1]):
-            view = cell_views[cell, slot]
-            if view == NO_VIEW:
-                break
-            if view == DONE:
-                continue
-            count = _gather_members(cell, slot, cells, cell_views, starts, members)
-            last = starts[cell + count]
-            for begin in range(first, last, CHUNK):
-                _blend_chunk(
-                    view,
-                    begin,
-                    min(CHUNK, last - begin),
-                    members,
-                    count,
-                    has_depth,
-                    pose,
-                    focal,
+    starts = order.starts
+    for number in range(_link_cells(cells, cell_views, starts, links)):
+        view = links.views[number]
+        entry, links.first[view] = links.first[view], END
+        cell, slot = entry // SLOTS, entry % SLOTS
+        first, last = starts[cell], starts[cell + 1]
+        while entry != END:
+            x0, y0, nearness, count = (
+                order.columns[first],
+                order.rows[first],
+                order.surface[first],
+                0,
+            )
+            while entry != END and count < CHUNK:
+                taken = min(last - first, CHUNK - count)
+                load_cell(
                     cell_weights,
                     cell_origins,
-                    starts,
+                    cell,
+                    slot,
                     order.columns,
                     order.rows,
                     order.surface,
                     order.pixels,
-                    field.views.projection,
-                    field.views.focal,
-                    field.views.texels,
-                    field.views.level_start,
-                    field.views.level_size,
-                    field.views.inverse_depth,
-                    field.views.depth_start,
-                    field.views.depth_size,
-                    space.rays,
-                    space.maps,
-                    space.shifts,
-                    space.is_mapped,
+                    first,
+                    taken,
+                    count,
+                    x0,
+                    y0,
                     space.scratch,
-                    space.offsets,
-                    space.places,
-                    space.coefficients,
-                    image,
+                    space.targets,
                 )
-
-
-@compiled_leaf
-def _gather_members(
-    cell: int,
-    slot: int,
-    cells: int,
-    cell_views: IntArray,
-    starts: IntArray,
-    members: IntArray,
-) -> int:
-    """Finds the cells from one on that show the same view and fit into a chunk together.
-
-    Args:
-        cell: the first.
-        slot: of the view in it.
-        cells: their number.
-        cell_views: (c, k); the view is marked as done in the others.
-        starts: (c + 1,) where they begin.
-        members: (MOST_MEMBERS, 2) receives each cell and the view's slot in it.
-
-    Returns:
-        Their number.
-    """
-    view = cell_views[cell, slot]
-    members[0, 0], members[0, 1] = cell, slot
-    count = 1
-    while (
-        count < MOST_MEMBERS
-        and cell + count < cells
-        and starts[cell + count + 1] - starts[cell] <= CHUNK
-    ):
-        found = -1
-        for other in range(cell_views.shape[1]):
-            own = cell_views[cell + count, other]
-            if own == view:
-                found = other
-            if own in (view, NO_VIEW):
-                break
-        if found < 0:
-            break
-        cell_views[cell + count, found] = DONE
-        members[count, 0], members[count, 1] = cell + count, found
-        count += 1
-    return count
+                count += taken
+                first += taken
+                if first == last:
+                    entry = links.next[entry]
+                    if entry != END:
+                        cell, slot = entry // SLOTS, entry % SLOTS
+                        first, last = starts[cell], starts[cell + 1]
+            _blend_chunk(
+                view,
+                count,
+                x0,
+                y0,
+                nearness,
+                has_depth,
+                pose,
+                focal,
+                field.views.projection,
+                field.views.focal,
+                field.views.texels,
+                field.views.level_start,
+                field.views.level_size,
+                field.views.inverse_depth,
+                field.views.depth_start,
+                field.views.depth_size,
+                space.rays,
+                space.maps,
+                space.shifts,
+                space.is_mapped,
+                space.scratch,
+                space.targets,
+                space.offsets,
+                space.places,
+                space.coefficients,
+                image,
+            )
 
 
 @compiled_leaf
 def _blend_chunk(
     view: int,
-    first: int,
     count: int,
-    members: IntArray,
-    member_count: int,
+    x: float,
+    y: float,
+    nearness: float,
     has_depth: bool,
     pose: FloatArray,
     focal: float,
-    cell_weights: FloatArray,
-    cell_origins: FloatArray,
-    starts: IntArray,
-    columns: Float32Array,
-    rows: Float32Array,
-    surface: Float32Array,
-    pixels: Int32Array,
     projection: FloatArray,
     focals: FloatArray,
     texels: ImageArray,
@@ -235,31 +234,33 @@ def _blend_chunk(
     shifts: FloatArray,
     is_mapped: BoolArray,
     scratch: Float32Array,
+    targets: Int32Array,
     offsets: Int32Array,
     places: Int32Array,
     coefficients: Float32Array,
     image: Float32Array,
 ) -> None:
-    """``blend_cells`` for one view and up to ``CHUNK`` pixels, from ``first`` on in their order."""
-    x0, y0 = columns[first], rows[first]
+    """``blend_cells`` for one view and a chunk of pixels.
+
+    Args:
+        view: which.
+        count: pixels of the chunk, in the scratch.
+        x: column of the first, and
+        y: its row, and
+        nearness: its inverse depth.
+        has_depth: see ``blend_cells``; all else is of the light field and of the workspace.
+    """
     filled = (count + LANES - 1) // LANES * LANES
-    load_chunk(columns, rows, surface, np.uintp(first), np.uintp(filled), scratch)
-    for number in range(member_count):
-        cell = members[number, 0]
-        begin, end = max(starts[cell] - first, 0), min(starts[cell + 1] - first, count)
-        load_weights(
-            cell_weights, cell_origins, cell, members[number, 1], x0, y0, begin, end, scratch
-        )
     end_weights(scratch, np.uintp(count))
     if not is_mapped[view]:
         view_mapping(projection, view, pose, rays, maps, shifts)
         is_mapped[view] = True
-    chunk_coefficients(maps, shifts, view, x0, y0, coefficients)
+    chunk_coefficients(maps, shifts, view, x, y, coefficients)
     levels = level_size.shape[1]
     ratio = focals[view] / focal
     full_width, full_height = level_size[view, 0, 0], level_size[view, 0, 1]
     # Most chunks need one level, that of their first pixel; others are gone through.
-    middle = coefficients[8] + coefficients[11] * surface[first]
+    middle = coefficients[8] + coefficients[11] * nearness
     guess = 0
     while guess + 1 < levels and middle <= ratio * LEVEL_BORDERS[guess + 1]:
         guess += 1
@@ -295,6 +296,6 @@ def _blend_chunk(
                     full_height,
                 )
             start, width = level_start[view, level], level_size[view, level, 0]
-            add_samples(scratch, offsets, pixels, first, count, texels, start, width, image)
+            add_samples(scratch, offsets, targets, count, texels, start, width, image)
         if elsewhere == 0:
             break

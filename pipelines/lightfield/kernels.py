@@ -21,7 +21,7 @@ from pipelines.lightfield.mapping_kernels import virtual_rays
 from pipelines.lightfield.pixel_order_kernels import pixel_order_for
 from pipelines.lightfield.reference import SMALLEST_WEIGHT
 from pipelines.lightfield.substitute_kernels import find_substitutes
-from pipelines.lightfield.workspace import LightField, Workspace, workspace_for
+from pipelines.lightfield.workspace import LightField, Workspace, links_for, workspace_for
 
 OPAQUE = np.float32(255.0)
 ONE, ZERO, SMALLEST = np.float32(1.0), np.float32(0.0), np.float32(SMALLEST_WEIGHT)
@@ -81,7 +81,7 @@ def _show_cells(
         How many pixels none of the views of their cells shows.
     """
     order = space.order
-    for i in range(len(order.indices)):
+    for i in range(len(order.chosen)):
         order.surface[i] = surface[order.indices[i]]
     for i in range(len(colours)):
         colours[i] = ZERO
@@ -95,6 +95,7 @@ def _show_cells(
         space.cell_weights,
         space.cell_origins,
         order,
+        space.links,
         space,
         image,
     )
@@ -148,6 +149,7 @@ def _show_substitutes(
         cell_weights,
         cell_origins,
         order,
+        links_for(len(field.views.centres), cells),
         space,
         image,
     )

@@ -19,6 +19,8 @@ STRIDE = 8
 class PixelOrder(NamedTuple):
     """P pixels of an image, in the order of the cells that they lie in.
 
+    What is ``LANES`` longer may be read beyond its end.
+
     Attributes:
         chosen: ``(P,)`` int32 their indices in the image, rising.
         chosen_columns: ``(P,)`` where that is, and
@@ -27,8 +29,8 @@ class PixelOrder(NamedTuple):
         columns: ``(P + LANES,)`` places of the pixels in that order, and
         rows: likewise, and
         surface: their inverse depths, and
-        pixels: int32 their places in ``chosen``, and
-        indices: int32 their indices in the image.
+        pixels: likewise, int32 their places in ``chosen``, and
+        indices: likewise, int32 their indices in the image.
     """
 
     chosen: Int32Array
@@ -57,8 +59,8 @@ def pixel_order_for(chosen: Int32Array, width: int, cells: int) -> PixelOrder:
         np.zeros(count + LANES, np.float32),
         np.zeros(count + LANES, np.float32),
         np.zeros(count + LANES, np.float32),
-        np.zeros(count, np.int32),
-        np.zeros(count, np.int32),
+        np.zeros(count + LANES, np.int32),
+        np.zeros(count + LANES, np.int32),
     )
 
 

@@ -37,83 +37,91 @@ HIDDEN = np.float32(OCCLUSION_FACTOR)
 
 
 @compiled_loop
-def load_chunk(
+def _load_pixels(
     columns: Float32Array,
     rows: Float32Array,
     surface: Float32Array,
+    pixels: Int32Array,
     first: np.uintp,
     count: np.uintp,
-    scratch: Float32Array,
-) -> None:
-    """Writes places, relative to the first, and inverse depths of a chunk's pixels.
-
-    Args:
-        columns: (P + LANES,) places of the pixels in the order of their cells, and
-        rows: likewise, and
-        surface: their inverse depths.
-        first: the chunk's first in that order.
-        count: pixels of the chunk, a multiple of ``LANES``.
-        scratch: receives the first three rows.
-    """
-    x0, y0 = columns[first], rows[first]
-    for i in range(count):
-        scratch[i + X] = columns[first + i] - x0
-        scratch[i + Y] = rows[first + i] - y0
-        scratch[i + SURFACE] = surface[first + i]
-
-
-@compiled_loop
-def _fill_weights(
-    scratch: Float32Array,
-    first: np.uintp,
-    count: np.uintp,
+    place: np.uintp,
+    x0: np.float32,
+    y0: np.float32,
     a: np.float32,
     b: np.float32,
     c: np.float32,
     d: np.float32,
+    scratch: Float32Array,
+    targets: Int32Array,
 ) -> None:
-    """Writes the weights a x + b y + c + d x y of some of a chunk's pixels, and some behind."""
+    """``load_cell``; weights are a x + b y + c + d x y with x and y from the chunk's first."""
     for i in range((count + np.uintp(LANES - 1)) & ~np.uintp(LANES - 1)):
-        x, y = scratch[first + i + X], scratch[first + i + Y]
-        scratch[first + i + WEIGHT] = a * x + b * y + c + d * x * y
+        x, y = columns[first + i] - x0, rows[first + i] - y0
+        scratch[place + i + X] = x
+        scratch[place + i + Y] = y
+        scratch[place + i + SURFACE] = surface[first + i]
+        scratch[place + i + WEIGHT] = a * x + b * y + c + d * x * y
+        targets[place + i] = pixels[first + i]
 
 
 @compiled_leaf
-def load_weights(
+def load_cell(
     weights: FloatArray,
     origins: FloatArray,
     cell: int,
     slot: int,
+    columns: Float32Array,
+    rows: Float32Array,
+    surface: Float32Array,
+    pixels: Int32Array,
+    first: int,
+    count: int,
+    place: int,
     x: float,
     y: float,
-    first: int,
-    last: int,
     scratch: Float32Array,
+    targets: Int32Array,
 ) -> None:
-    """Writes a view's weights at those of a chunk's pixels that lie in one cell.
+    """Writes places, inverse depths, weights and targets of pixels of one cell into a chunk.
+
+    What stands behind them in the chunk is overwritten, up to a multiple of ``LANES``.
 
     Args:
         weights: (c, k, 4) coefficients of x, y, 1, x y, relative to
         origins: (c, 2) columns and rows.
         cell: of the pixels, and
         slot: of the view in it.
+        columns: (P + LANES,) places of the pixels in the order of their cells, and
+        rows: likewise, and
+        surface: their inverse depths, and
+        pixels: int32 where they stand in the image that is made.
+        first: of them, and
+        count: how many.
+        place: of the first in the chunk.
         x: column of the chunk's first pixel, and
         y: its row.
-        first: of the pixels in the chunk, and
-        last: the one behind them.
         scratch: of the chunk, changed.
+        targets: (ROW_LENGTH,) int32, likewise.
     """
     a, b = weights[cell, slot, 0], weights[cell, slot, 1]
     c, d = weights[cell, slot, 2], weights[cell, slot, 3]
     across, down = x - origins[cell, 0], y - origins[cell, 1]
-    _fill_weights(
-        scratch,
+    _load_pixels(
+        columns,
+        rows,
+        surface,
+        pixels,
         np.uintp(first),
-        np.uintp(last - first),
+        np.uintp(count),
+        np.uintp(place),
+        np.float32(x),
+        np.float32(y),
         np.float32(a + d * down),
         np.float32(b + d * across),
         np.float32(a * across + b * down + c + d * across * down),
         np.float32(d),
+        scratch,
+        targets,
     )
 
 
@@ -296,8 +304,7 @@ def leave_out_hidden(
 def add_samples(
     scratch: Float32Array,
     offsets: Int32Array,
-    pixels: Int32Array,
-    first: int,
+    targets: Int32Array,
     count: int,
     texels: ImageArray,
     start: int,
@@ -309,8 +316,7 @@ def add_samples(
     Args:
         scratch: as the steps before left it.
         offsets: (CHUNK,) int32 index of each point's upper left texel in the level.
-        pixels: (P,) int32 pixels in the order of their cells.
-        first: the chunk's first in that order.
+        targets: (CHUNK,) int32 the pixels.
         count: pixels of the chunk.
         texels: (T, 4); there may be more than 32 bits can count.
         start: index of the level's first texel.
@@ -327,5 +333,5 @@ def add_samples(
             scratch[i + UPPER],
             scratch[i + LOWER],
             image,
-            pixels[np.uintp(first) + i],
+            targets[i],
         )

@@ -24,8 +24,10 @@ from pipelines.lightfield.sampling_kernels import COEFFICIENTS, ROW_LENGTH, SCRA
 from pipelines.lightfield.view_index import ViewIndex
 from pipelines.lightfield.views import ViewArrays
 
-# Cells that are worked on together, at most.
-MOST_MEMBERS = 16
+# A cell has fewer views than this.
+SLOTS = 16
+# Behind the last cell of a chain.
+END = -1
 
 
 class LightField(NamedTuple):
@@ -46,6 +48,32 @@ class LightField(NamedTuple):
     is_net: bool
 
 
+class Links(NamedTuple):
+    """The cells that show the same view, for each view.
+
+    A cell's view is entry ``cell * SLOTS + slot``.
+
+    Attributes:
+        views: ``(N,)`` those that any cell shows.
+        first: ``(N,)`` the first entry of each view; ``END``: none.
+        next: ``(c * SLOTS,)`` the next entry of the same view; ``END``: none.
+    """
+
+    views: IntArray
+    first: IntArray
+    next: IntArray
+
+
+@compiled
+def links_for(views: int, cells: int) -> Links:
+    """Memory for the chains of so many views and cells."""
+    return Links(
+        np.empty(views, np.int64),
+        np.full(views, END, np.int64),
+        np.empty(cells * SLOTS, np.int64),
+    )
+
+
 class Workspace(NamedTuple):
     """What rendering one view writes on its way; made once for many views of one size.
 
@@ -62,10 +90,11 @@ class Workspace(NamedTuple):
         room: of the net, for no views where there is none.
         labels: ``(H, W)`` each pixel's cell.
         order: the pixels that are rendered, by cell.
-        members: ``(MOST_MEMBERS, 2)`` cells that are worked on together.
+        links: chains of cells.
         scratch: of a chunk, see ``sampling_kernels``.
-        offsets: ``(CHUNK,)`` int32.
-        places: ``(CHUNK,)`` int32.
+        targets: ``(CHUNK,)`` int32, and
+        offsets: likewise, and
+        places: likewise.
         coefficients: ``(COEFFICIENTS,)``.
     """
 
@@ -81,8 +110,9 @@ class Workspace(NamedTuple):
     room: NetRoom
     labels: IntArray
     order: PixelOrder
-    members: IntArray
+    links: Links
     scratch: Float32Array
+    targets: Int32Array
     offsets: Int32Array
     places: Int32Array
     coefficients: Float32Array
@@ -123,8 +153,9 @@ def workspace_for(field: LightField, width: int, height: int, chosen: Int32Array
         net_room_for(count if field.is_net else 0),
         labels,
         order,
-        np.empty((MOST_MEMBERS, 2), np.int64),
+        links_for(count, cells),
         np.zeros(SCRATCH_SIZE, np.float32),
+        np.zeros(ROW_LENGTH, np.int32),
         np.zeros(ROW_LENGTH, np.int32),
         np.zeros(ROW_LENGTH, np.int32),
         np.empty(COEFFICIENTS, np.float32),
