@@ -15,16 +15,15 @@ from pipelines.artifacts.array_types import (
 )
 from pipelines.lightfield.blending import OCCLUSION_FACTOR
 from pipelines.lightfield.compiled import compiled_leaf, compiled_loop
-from pipelines.lightfield.texel_intrinsic import add_texels
+from pipelines.lightfield.texel_intrinsic import LANES, add_texels, load_lanes
 
 # Pixels that are worked on together; what they need stays in the processor's nearest cache.
 CHUNK = 128
-# Chunks are filled up to a multiple of this, what a processor works on at once.
-LANES = 16
-# Where the rows of a chunk's scratch begin: x, y, inverse depth and the view's weight; what comes
-# out: fraction, upper and lower weight; and the place in the view's finest level, the point's
-# inverse depth there, and what is seen there. Unsigned: for signed indices the compiler would have
-# to count from the end, too, and could not see that they follow each other.
+# Chunks are filled up to a multiple of ``LANES``, what a processor works on at once. Where the rows
+# of a chunk's scratch begin: x, y, inverse depth and the view's weight; what comes out: fraction,
+# upper and lower weight; and the place in the view's finest level, the point's inverse depth there,
+# and what is seen there. Unsigned: for signed indices the compiler would have to count from the
+# end, too, and could not see that they follow each other.
 ROW_LENGTH = CHUNK + LANES
 X, Y, SURFACE, WEIGHT, FRACTION, UPPER, LOWER, COLUMN, ROW, NEARNESS, SEEN = (
     np.uintp(row * ROW_LENGTH) for row in range(11)
@@ -34,34 +33,6 @@ SCRATCH_SIZE = 11 * ROW_LENGTH
 COEFFICIENTS = 12
 ZERO, HALF, ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 HIDDEN = np.float32(OCCLUSION_FACTOR)
-
-
-@compiled_loop
-def _load_pixels(
-    columns: Float32Array,
-    rows: Float32Array,
-    surface: Float32Array,
-    pixels: Int32Array,
-    first: np.uintp,
-    count: np.uintp,
-    place: np.uintp,
-    x0: np.float32,
-    y0: np.float32,
-    a: np.float32,
-    b: np.float32,
-    c: np.float32,
-    d: np.float32,
-    scratch: Float32Array,
-    targets: Int32Array,
-) -> None:
-    """``load_cell``; weights are a x + b y + c + d x y with x and y from the chunk's first."""
-    for i in range((count + np.uintp(LANES - 1)) & ~np.uintp(LANES - 1)):
-        x, y = columns[first + i] - x0, rows[first + i] - y0
-        scratch[place + i + X] = x
-        scratch[place + i + Y] = y
-        scratch[place + i + SURFACE] = surface[first + i]
-        scratch[place + i + WEIGHT] = a * x + b * y + c + d * x * y
-        targets[place + i] = pixels[first + i]
 
 
 @compiled_leaf
@@ -106,23 +77,27 @@ def load_cell(
     a, b = weights[cell, slot, 0], weights[cell, slot, 1]
     c, d = weights[cell, slot, 2], weights[cell, slot, 3]
     across, down = x - origins[cell, 0], y - origins[cell, 1]
-    _load_pixels(
-        columns,
-        rows,
-        surface,
-        pixels,
-        np.uintp(first),
-        np.uintp(count),
-        np.uintp(place),
+    coefficients = (
         np.float32(x),
         np.float32(y),
         np.float32(a + d * down),
         np.float32(b + d * across),
         np.float32(a * across + b * down + c + d * across * down),
         np.float32(d),
-        scratch,
-        targets,
     )
+    for i in range(0, count, LANES):
+        load_lanes(
+            columns,
+            rows,
+            surface,
+            pixels,
+            first + i,
+            place + i,
+            coefficients,
+            scratch,
+            ROW_LENGTH,
+            targets,
+        )
 
 
 @compiled_loop
@@ -249,11 +224,12 @@ def _depth_places(
     height: np.int32,
 ) -> None:
     """Writes where in a view's depth map a chunk's points lie."""
-    last_x, last_y = width - np.int32(1), height - np.int32(1)
+    last_x, last_y = np.float32(width - 1), np.float32(height - 1)
     for i in range(np.uintp(count)):
-        column = np.int32((scratch[i + COLUMN] + HALF) * scale_x)
-        row = np.int32((scratch[i + ROW] + HALF) * scale_y)
-        places[i] = min(row, last_y) * width + min(column, last_x)
+        column = np.int32(min((scratch[i + COLUMN] + HALF) * scale_x, last_x))
+        row = np.int32(min((scratch[i + ROW] + HALF) * scale_y, last_y))
+        # Products of 32 bits stay that; sums of two numbers of 32 bits would take 64.
+        places[i] = np.int32(row * width) + column
 
 
 @compiled_loop
@@ -296,7 +272,7 @@ def leave_out_hidden(
     scale_x, scale_y = np.float32(width / full_width), np.float32(height / full_height)
     _depth_places(scratch, places, count, scale_x, scale_y, np.int32(width), np.int32(height))
     for i in range(np.uintp(count)):
-        scratch[i + SEEN] = inverse_depth[start + places[i]]
+        scratch[i + SEEN] = inverse_depth[np.uintp(start) + np.uintp(places[i])]
     _take_weights(scratch, count)
 
 

@@ -1,9 +1,10 @@
-"""One bilinear sample of an RGBA photo in a handful of instructions, for compiled code.
+"""What compiled code needs in a handful of instructions: a bilinear sample, a few pixels' places.
 
 Numba turns a loop over the four channels of a texel into four scalar loops. What a processor can
-do is read two neighbouring texels at once and work on their eight channels together; that is
-written here in LLVM's vector types, which every processor that numba knows gets translated to its
-own (AVX, SSE, NEON).
+do is read two neighbouring texels at once and work on their eight channels together. And before a
+short loop over several arrays the compiler puts a check whether any two of them overlap, which
+takes longer than the loop. Both are written here in LLVM's vector types, which every processor that
+numba knows gets translated to its own (AVX, SSE, NEON).
 """
 
 from collections.abc import Callable
@@ -14,6 +15,8 @@ from numba import types
 from numba.extending import intrinsic
 
 CHANNELS = 4
+# Pixels that are loaded together.
+LANES = 16
 _FLOAT, _BYTE, _INDEX, _LANE = ir.FloatType(), ir.IntType(8), ir.IntType(64), ir.IntType(32)
 _CONTRACT = ("contract",)
 
@@ -66,6 +69,83 @@ def _add_texels(
 
 # To compiled code it is a function of all arguments but the first.
 add_texels = cast("Callable[..., None]", _add_texels)
+
+
+@intrinsic
+def _load_lanes(
+    _typing_context: Any,
+    columns: Any,
+    rows: Any,
+    surface: Any,
+    pixels: Any,
+    first: Any,
+    place: Any,
+    coefficients: Any,
+    scratch: Any,
+    row_length: Any,
+    targets: Any,
+) -> Any:
+    """Copies ``LANES`` pixels into a chunk, and works out their weights.
+
+    Args:
+        _typing_context: numba's.
+        columns: (P,) float32, and
+        rows: likewise, and
+        surface: likewise; and
+        pixels: (P,) int32.
+        first: of the pixels in these.
+        place: of the first in the chunk.
+        coefficients: six float32: x0, y0, a, b, c, d. Columns and rows become relative to the first
+            two, and with these the weights are a x + b y + c + d x y.
+        scratch: float32; its first four rows receive columns, rows, surface and weights.
+        row_length: of the scratch.
+        targets: (row_length,) int32 receives the pixels.
+    """
+    signature = types.void(
+        columns,
+        rows,
+        surface,
+        pixels,
+        first,
+        place,
+        coefficients,
+        scratch,
+        row_length,
+        targets,
+    )
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        kinds = signature.args
+
+        def address(number: int, index: Any, kind: ir.Type) -> Any:
+            data = context.make_array(kinds[number])(context, builder, arguments[number]).data
+            pointer = builder.gep(data, [index])
+            return builder.bitcast(pointer, ir.VectorType(kind, LANES).as_pointer())
+
+        first, place = (builder.sext(arguments[i], _INDEX) for i in (4, 5))
+        x0, y0, a, b, c, d = (
+            _repeated(builder, builder.extract_value(arguments[6], i), LANES) for i in range(6)
+        )
+        columns, rows, surface = (
+            builder.load(address(i, first, _FLOAT), align=4) for i in range(3)
+        )
+        x, y = builder.fsub(columns, x0), builder.fsub(rows, y0)
+        # a x + c + y (b + d x)
+        slope = _multiply_add(builder, d, x, b)
+        weight = _multiply_add(builder, slope, y, _multiply_add(builder, a, x, c))
+        for row, values in enumerate((x, y, surface, weight)):
+            offset = builder.mul(arguments[8], ir.Constant(arguments[8].type, row))
+            place_in_row = builder.add(place, builder.sext(offset, _INDEX))
+            builder.store(values, address(7, place_in_row, _FLOAT), align=4)
+        builder.store(
+            builder.load(address(3, first, _LANE), align=4), address(9, place, _LANE), align=4
+        )
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+load_lanes = cast("Callable[..., None]", _load_lanes)
 
 
 def _vector(lanes: int) -> ir.VectorType:
