@@ -16,7 +16,7 @@ EXPERIMENTS := out/experiments
 SETTINGS := experiments/settings
 TRUE_MAPS := $(EXPERIMENTS)/true-maps
 SETS := elevators workshop
-SWEEPS := every-start strategies robustness true-poses proposals particles
+SWEEPS := every-start strategies robustness true-poses proposals particles pixels
 # make experiments SEEDS=0-99: other seeds than those in sweeps/*.toml.
 SEEDS :=
 

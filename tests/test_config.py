@@ -36,6 +36,7 @@ OTHER: dict[str, tuple[Any, Any]] = {
     "likelihood.cost": (Cost.ZNCC, "zncc"),
     "likelihood.sharpness": (33.0, 33.0),
     "likelihood.fit_gain": (False, False),
+    "likelihood.one_pixel_in": (3, 3),
     "motion.alpha1": (0.5, 0.5),
     "motion.alpha2": (0.6, 0.6),
     "motion.alpha3": (0.7, 0.7),
@@ -158,7 +159,7 @@ def test_text_is_read_as_it_was_written(text: str) -> None:
 
 def test_the_paper_has_its_own_defaults_unless_something_else_is_chosen(tmp_path: Path) -> None:
     paper = effective_settings(None, {"strategy": "condensation"})
-    assert paper.likelihood == LIKELIHOODS["squared"]
+    assert paper.likelihood == replace(LIKELIHOODS["squared"], one_pixel_in=1)
     assert (paper.resampling, paper.estimate) == ("multinomial", "max_weight")
     path = written(tmp_path, '[filter]\nstrategy = "condensation"\nresampling = "residual"\n')
     mixed = effective_settings(path, {"estimate": "mode"})
@@ -171,7 +172,7 @@ def test_the_paper_has_its_own_defaults_unless_something_else_is_chosen(tmp_path
 
 def test_a_kind_of_comparison_comes_with_its_sharpness(tmp_path: Path) -> None:
     path = written(tmp_path, '[likelihood]\ncost = "zncc"\nsharpness = 12.0\n')
-    chosen = Likelihood(Cost.ZNCC, 12.0, fit_gain=False)
+    chosen = replace(LIKELIHOODS["zncc"], sharpness=12.0)
     assert effective_settings(path, {}).likelihood == chosen
     assert effective_settings(path, {"likelihood.cost": Cost.ZNCC}).likelihood == chosen
     other = effective_settings(path, {"likelihood.cost": Cost.GRADIENT})

@@ -145,7 +145,8 @@ def test_what_the_run_file_keeps_is_plain_json_and_complete() -> None:
     assert set(values) == set(LocalizerSettings.__dataclass_fields__) - {"threads"}
     assert values["start"] == [1.0, 2.0, 0.5]
     assert values["area"] == [0.0, 1.0, -1.0, 2.0]
-    assert values["likelihood"] == {"cost": "zncc", "sharpness": 50.0, "fit_gain": False}
+    comparison = {"cost": "zncc", "sharpness": 50.0, "fit_gain": False, "one_pixel_in": 1}
+    assert values["likelihood"] == comparison
     assert values["motion"]["alpha1"] == 0.5
     assert values["blending"] == "delaunay"
     assert LocalizerSettings().to_dict()["start"] is None

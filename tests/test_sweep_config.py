@@ -1,5 +1,6 @@
 """What a sweep is asked for: read, multiplied out, refused in one line."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -68,7 +69,8 @@ def test_everything_is_combined_with_everything(tmp_path: Path) -> None:
 def test_what_is_not_varied_is_the_strategys_default(tmp_path: Path) -> None:
     text = '[sweep]\nseeds = [4]\nstrategy = ["condensation", "informed"]\n' + DATASET
     paper, default = read_sweep_config(written(tmp_path, text)).settings
-    assert (paper.likelihood, paper.estimate) == (LIKELIHOODS["squared"], "max_weight")
+    every_pixel = replace(LIKELIHOODS["squared"], one_pixel_in=1)
+    assert (paper.likelihood, paper.estimate) == (every_pixel, "max_weight")
     assert (default.likelihood, default.estimate) == (LIKELIHOODS["robust"], "refined")
     one = read_sweep_config(written(tmp_path, "[sweep]\nseeds = 3\nparticles = 9\n" + DATASET))
     assert (one.seeds, [settings.particles for settings in one.settings]) == ((3,), [9])

@@ -3,10 +3,11 @@
 ```toml
 [sweep]
 seeds = "0-19"                          # or a list: [0, 1, 5]
-method = ["filter", "pnp"]              # optional, as are the next four; a list or one value
+method = ["filter", "pnp"]              # optional, as are the next five; a list or one value
 strategy = ["informed", "condensation"]
 proposal = ["appearance", "both"]
 likelihood = ["robust", "squared"]
+one_pixel_in = [1, 5]
 particles = [50, 195, 1000]
 
 [[dataset]]                             # one table for each
@@ -52,6 +53,7 @@ VARIED = {
     "strategy": "strategy",
     "proposal": "proposal",
     "likelihood": "likelihood.cost",
+    "one_pixel_in": "likelihood.one_pixel_in",
     "particles": "particles",
 }
 SWEEP_KEYS = ("seeds", *VARIED)

@@ -15,11 +15,12 @@ from pipelines.experiments.sweep_inputs import dataset_hash, odometry_hash, scen
 from pipelines.experiments.sweep_run import Setup, SweepRun
 from pipelines.lightfield.bundle import load_scene
 from pipelines.lightfield.devices import resolved_device
+from pipelines.localize.likelihood import LIKELIHOODS, Likelihood
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.stage import NO_ODOMETRY, check_odometry
 
 # Raise it when results that were kept are no longer what would be computed now.
-RESULTS_VERSION = 3
+RESULTS_VERSION = 4
 
 
 def planned_runs(config: SweepConfig, progress: Progress) -> tuple[SweepRun, ...]:
@@ -110,6 +111,13 @@ def _setup(
         method=settings.method,
         strategy=settings.strategy,
         proposal=settings.proposal if settings.strategy == "informed" else None,
-        likelihood=settings.likelihood.cost.name.lower(),
+        likelihood=_name_of(settings.likelihood),
         particles=settings.particles,
     )
+
+
+def _name_of(likelihood: Likelihood) -> str:
+    """What tables call it: the cost, and which pixels where these are not the usual ones."""
+    name = likelihood.cost.name.lower()
+    step = likelihood.one_pixel_in
+    return name if step == LIKELIHOODS[name].one_pixel_in else f"{name}, one pixel in {step}"

@@ -31,7 +31,7 @@ class Setup:
         method: ``filter`` or ``pnp``, which uses nothing of a filter.
         strategy: of the filter; None: there is none. So it is with those that follow.
         proposal: where the strategy looks; None: it takes no proposals.
-        likelihood: kind of the comparison.
+        likelihood: kind of the comparison, and how many pixels where these are not the usual.
         particles: kept while tracking.
     """
 

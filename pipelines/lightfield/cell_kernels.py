@@ -21,7 +21,6 @@ from pipelines.lightfield.pixel_order_kernels import PixelOrder, order_by_label
 from pipelines.lightfield.reference import FRUSTUM_SAMPLES
 from pipelines.lightfield.sampling_kernels import (
     CHUNK,
-    LANES,
     add_samples,
     chunk_coefficients,
     end_weights,
@@ -29,6 +28,7 @@ from pipelines.lightfield.sampling_kernels import (
     load_cell,
     place_samples,
 )
+from pipelines.lightfield.texel_intrinsic import LANES
 from pipelines.lightfield.workspace import END, SLOTS, LightField, Links, Workspace
 
 # On a pyramid level a pixel spans about one: levels change where it spans sqrt(2) 2^k of the finest

@@ -10,7 +10,7 @@ import numpy as np
 
 from pipelines.artifacts.array_types import Float32Array, Int32Array, IntArray
 from pipelines.lightfield.compiled import compiled, compiled_leaf
-from pipelines.lightfield.sampling_kernels import LANES
+from pipelines.lightfield.texel_intrinsic import LANES
 
 # Pixels that are passed over at once where a row's labels stay the same.
 STRIDE = 8

@@ -251,6 +251,7 @@ KEYS = (
     Key("likelihood", "cost", "likelihood.cost", _named(Cost), "squared, robust, zncc, gradient"),
     Key("likelihood", "sharpness", "likelihood.sharpness", NUMBER, "log-likelihood a unit of cost"),
     Key("likelihood", "fit_gain", "likelihood.fit_gain", FLAG, "fit the brightness first"),
+    Key("likelihood", "one_pixel_in", "likelihood.one_pixel_in", WHOLE, "compared: 1, 2, 3 or 5"),
     Key("rendering", "blending", "blending", _named(Blending), "unstructured or delaunay"),
     Key(
         "rendering",

@@ -4,10 +4,14 @@ What is fixed to the camera is not the scene: dirt on the lens, the robot's own 
 part of the view. Those pixels keep their colours while everything else changes, and after a few
 frames they are left out of the comparison (NaN). A bare wall may keep its colours too; nothing is
 lost with it, since it tells no place from another.
+
+To weigh particles, some of the pixels are enough: those of a lattice that has as many in every row
+and column, another one for each image, so that all pixels have their turn.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import cv2
 import numpy as np
@@ -26,6 +30,10 @@ FIXED_RANGE, FIXED_IMAGES, USUAL_RANGE = 3.0, 4, 12.0
 LARGEST_FIXED_SHARE = 0.6
 # Less than this is not worth a search.
 SMALLEST_FIXED_SHARE = 0.05
+# One pixel in so many -> how far a row's pixels stand aside from those of the row above.
+LATTICES = MappingProxyType({1: 0, 2: 1, 3: 1, 5: 2})
+# Fewer pixels than this are all compared, or more of them.
+FEWEST_COMPARED = 240
 
 
 @dataclass(frozen=True)
@@ -36,10 +44,24 @@ class Observation:
         image: ``(H, W, 3)`` RGB, undistorted and area-averaged; NaN where it does not show the
             scene.
         intrinsics: of that image.
+        number: which of the images it is, as they come.
     """
 
     image: Float32Array
     intrinsics: Intrinsics
+    number: int = 0
+
+    def thinned(self, one_in: int) -> Float32Array:
+        """The image ``(H, W, 3)`` with NaN at all but one in so many pixels, a key of ``LATTICES``.
+
+        Fewer are left out where less than ``FEWEST_COMPARED`` would remain.
+        """
+        height, width = self.image.shape[:2]
+        able = [step for step in LATTICES if height * width >= step * FEWEST_COMPARED]
+        step = max((step for step in able if step <= one_in), default=1)
+        rows, columns = np.indices((height, width))
+        is_compared = (columns + LATTICES[step] * rows) % step == self.number % step
+        return np.where(is_compared[..., None], self.image, np.float32(np.nan))
 
 
 @dataclass(frozen=True)
@@ -79,6 +101,7 @@ class Observer:
         self._lowest: Float32Array | None = None
         self._highest: Float32Array | None = None
         self._images = 0
+        self._number = 0
         self._fixed_share = 0.0
 
     def __call__(self, image: ImageArray) -> Observations:
@@ -100,8 +123,10 @@ class Observer:
                 height, width = small.shape[:2]
                 small[cv2.resize(fixed.astype(np.float32), (width, height)) > 0.01] = np.nan
         by_width = {
-            width: Observation(small, self._intrinsics[width]) for width, small in sizes.items()
+            width: Observation(small, self._intrinsics[width], self._number)
+            for width, small in sizes.items()
         }
+        self._number += 1
         return Observations(by_width, contrast, uncovers)
 
     def _fixed(self, image: Float32Array) -> BoolArray:

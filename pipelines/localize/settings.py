@@ -1,7 +1,7 @@
 """The filter's settings: what a user can choose, checked when it is made."""
 
 import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from pipelines.artifacts.errors import OptionError
@@ -192,14 +192,14 @@ class LocalizerSettings:
 def strategy_defaults(strategy: str) -> dict[str, Any]:
     """The settings whose defaults a strategy changes, by field; ``strategy`` is among them.
 
-    Heigl, Denzler and Niemann (2001) compare squared differences, draw independently, and take the
-    particle with the most weight.
+    Heigl, Denzler and Niemann (2001) compare squared differences of all pixels, draw independently,
+    and take the particle with the most weight.
     """
     if strategy != "condensation":
         return {"strategy": strategy}
     return {
         "strategy": strategy,
-        "likelihood": LIKELIHOODS["squared"],
+        "likelihood": replace(LIKELIHOODS["squared"], one_pixel_in=1),
         "resampling": "multinomial",
         "estimate": "max_weight",
     }
