@@ -1,9 +1,11 @@
 """The surface as a virtual camera sees it, fast: the same inverse depths as ``proxy``, compiled."""
 
+from typing import NamedTuple
+
 import numpy as np
 
-from pipelines.artifacts.array_types import Float32Array, FloatArray, IntArray
-from pipelines.lightfield.compiled import compiled, compiled_loop
+from pipelines.artifacts.array_types import Float32Array, FloatArray, Int32Array, IntArray
+from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_loop
 from pipelines.lightfield.mapping_kernels import virtual_rays
 from pipelines.lightfield.proxy import (
     EDGE_FACTOR,
@@ -13,7 +15,7 @@ from pipelines.lightfield.proxy import (
     SOURCE_VIEWS,
     TURN_COST,
 )
-from pipelines.lightfield.splat_kernels import TOGETHER, splat
+from pipelines.lightfield.splat_kernels import TOGETHER, DepthSamples, depth_samples, splat
 from pipelines.lightfield.views import ViewArrays
 
 
@@ -44,12 +46,73 @@ def plane_surface(
             surface[y, x] = max(value, 0.0)
 
 
+class SurfaceRoom(NamedTuple):
+    """Memory for the surface from depth maps in images of one size, over a mesh of h x w corners.
+
+    Attributes:
+        corners: ``(h (w + 1),)`` inverse depths of the mesh, row by row; the last column takes what
+            lies outside.
+        padded: ``(h + 2, w + 2)`` the mesh with a border.
+        mesh: ``(h, w)`` as it is in the end.
+        empty: ``(h w,)`` corners without a depth, and
+        filled: ``(h w,)`` what they are given.
+        lefts: ``(W,)`` the corner on the left of each column, and
+        shares: ``(W,)`` how far the column is from it to the next.
+        matrix: ``(3, 4)`` world points to homogeneous virtual pixels.
+        costs: ``(SOURCE_VIEWS,)`` how far views are away.
+        numbers: ``(16,)``, and
+        scratch: ``(TOGETHER,)``, and
+        cells: ``(TOGETHER,)`` int32; see ``splat_kernels``.
+    """
+
+    corners: FloatArray
+    padded: FloatArray
+    mesh: FloatArray
+    empty: IntArray
+    filled: FloatArray
+    lefts: IntArray
+    shares: FloatArray
+    matrix: FloatArray
+    costs: FloatArray
+    numbers: FloatArray
+    scratch: FloatArray
+    cells: Int32Array
+
+
 @compiled
-def choose_sources(
-    views: ViewArrays, usual_inverse_depth: float, pose: FloatArray, sources: IntArray
+def surface_room_for(width: int, height: int, spacing: float) -> SurfaceRoom:
+    """Memory for images of one size and corners that are so many pixels apart."""
+    rows = int(np.ceil((height - 1) / spacing)) + 1
+    columns = int(np.ceil((width - 1) / spacing)) + 1
+    lefts, shares = np.empty(width, np.int64), np.empty(width)
+    for column in range(width):
+        lefts[column] = min(int(column / spacing), columns - 1)
+        shares[column] = column / spacing - lefts[column]
+    return SurfaceRoom(
+        np.empty(rows * (columns + 1)),
+        np.zeros((rows + 2, columns + 2)),
+        np.empty((rows, columns)),
+        np.empty(rows * columns, np.int64),
+        np.empty(rows * columns),
+        lefts,
+        shares,
+        np.empty((3, 4)),
+        np.empty(SOURCE_VIEWS),
+        np.empty(16),
+        np.empty(TOGETHER),
+        np.empty(TOGETHER, np.int32),
+    )
+
+
+@compiled_leaf
+def _choose_sources(
+    views: ViewArrays,
+    usual_inverse_depth: float,
+    pose: FloatArray,
+    cost: FloatArray,
+    sources: IntArray,
 ) -> int:
     """Writes the indices of the views whose depth maps make the surface; returns their number."""
-    cost = np.empty(SOURCE_VIEWS)
     count = 0
     for view in range(len(views.centres)):
         if views.depth_size[view, 0] == 0:
@@ -76,30 +139,30 @@ def choose_sources(
     return count
 
 
-@compiled
-def depth_surface(
+@compiled_leaf
+def _depth_surface(
     views: ViewArrays,
-    usual_inverse_depth: float,
+    samples: DepthSamples,
+    sources: IntArray,
     pose: FloatArray,
     intrinsics: FloatArray,
     spacing: float,
+    room: SurfaceRoom,
     surface: Float32Array,
 ) -> None:
     """Writes the inverse depth (H, W) of the surface that the depth maps describe; 0: none.
 
     Args:
         views: the light field.
-        usual_inverse_depth: the median of all depth maps.
+        samples: of its depth maps.
+        sources: (SOURCE_VIEWS,) whose depth maps make the surface; -1 behind the last.
         pose: (4, 4) world_from_camera of the virtual camera.
         intrinsics: (4,) fx, fy, cx, cy.
         spacing: of the mesh's corners, virtual pixels.
+        room: for images of this size; changed.
         surface: (H, W) receives the result.
     """
-    height, width = surface.shape
-    rows = int(np.ceil((height - 1) / spacing)) + 1
-    # One column more for what lies outside.
-    mesh = np.zeros((rows, int(np.ceil((width - 1) / spacing)) + 2))
-    matrix = np.empty((3, 4))
+    matrix, corners = room.matrix, room.corners
     for j in range(3):
         matrix[0, j] = intrinsics[0] * pose[j, 0] + intrinsics[2] * pose[j, 2]
         matrix[1, j] = intrinsics[1] * pose[j, 1] + intrinsics[3] * pose[j, 2]
@@ -108,26 +171,40 @@ def depth_surface(
         matrix[i, 3] = -(
             matrix[i, 0] * pose[0, 3] + matrix[i, 1] * pose[1, 3] + matrix[i, 2] * pose[2, 3]
         )
-    sources = np.empty(SOURCE_VIEWS, dtype=np.int64)
-    count = choose_sources(views, usual_inverse_depth, pose, sources)
-    focal = 0.5 * (intrinsics[0] + intrinsics[1])
-    scratch, cells = np.empty(TOGETHER), np.empty(TOGETHER, np.int32)
-    for number in range(count):
-        splat(views, sources[number], matrix, focal, spacing, scratch, cells, mesh)
-    _interpolate(_closed(_without_pinholes(mesh[:, :-1].copy())), spacing, surface)
+    for i in range(len(corners)):
+        corners[i] = 0.0
+    height, columns = len(room.mesh), room.mesh.shape[1] + 1
+    for number in range(SOURCE_VIEWS):
+        if sources[number] < 0:
+            break
+        splat(
+            views,
+            samples,
+            sources[number],
+            matrix,
+            spacing,
+            room.numbers,
+            room.scratch,
+            room.cells,
+            corners,
+            height,
+            columns,
+        )
+    _leave_out_pinholes(room)
+    _close(room)
+    _interpolate(room, spacing, surface)
 
 
-@compiled
-def _without_pinholes(mesh: FloatArray) -> FloatArray:
-    """Empties corners that show the background through gaps between foreground points."""
-    height, width = mesh.shape
-    padded, result = np.zeros((height + 2, width + 2)), np.empty_like(mesh)
+@compiled_leaf
+def _leave_out_pinholes(room: SurfaceRoom) -> None:
+    """Writes the mesh without corners that show the background between foreground points."""
+    height, width = room.mesh.shape
+    padded = room.padded
     for row in range(height):
         for column in range(width):
-            padded[row + 1, column + 1] = mesh[row, column]
+            padded[row + 1, column + 1] = room.corners[row * (width + 1) + column]
     for row in range(height):
-        _keep_solid(padded[row], padded[row + 1], padded[row + 2], result[row])
-    return result
+        _keep_solid(padded[row], padded[row + 1], padded[row + 2], room.mesh[row])
 
 
 @compiled_loop
@@ -150,48 +227,45 @@ def _keep_solid(above: FloatArray, own: FloatArray, below: FloatArray, result: F
         result[i] = 0.0 if nearer >= PINHOLE_NEIGHBOURS else own[i + 1]
 
 
-@compiled
-def _closed(mesh: FloatArray) -> FloatArray:
+@compiled_leaf
+def _close(room: SurfaceRoom) -> None:
     """Fills empty corners from the farthest known neighbour."""
+    mesh, empty, filled = room.mesh, room.empty, room.filled
     height, width = mesh.shape
-    current = mesh.copy()
     # Only the empty corners are looked at again in each round.
-    empty = np.empty(height * width, dtype=np.int64)
     count = 0
-    for index in range(height * width):
-        if mesh[index // width, index % width] == 0.0:
-            empty[count] = index
-            count += 1
-    filled = np.empty(count)
-    for _ in range(int(LARGEST_GAP_SHARE * max(height, width)) + 1):
+    for row in range(height):
+        for column in range(width):
+            if mesh[row, column] == 0.0:
+                empty[count] = row * width + column
+                count += 1
+    rounds = int(LARGEST_GAP_SHARE * max(height, width)) + 1
+    while count > 0 and rounds > 0:
+        rounds -= 1
         for number in range(count):
             row, column = empty[number] // width, empty[number] % width
             smallest = np.inf
             for i in range(max(row - 1, 0), min(row + 2, height)):
                 for j in range(max(column - 1, 0), min(column + 2, width)):
-                    if current[i, j] > 0.0:
-                        smallest = min(smallest, current[i, j])
+                    if mesh[i, j] > 0.0:
+                        smallest = min(smallest, mesh[i, j])
             filled[number] = smallest
         left = 0
         for number in range(count):
             if filled[number] < np.inf:
-                current[empty[number] // width, empty[number] % width] = filled[number]
+                mesh[empty[number] // width, empty[number] % width] = filled[number]
             else:
                 empty[left] = empty[number]
                 left += 1
         if left == count:
             break
         count = left
-    return current
 
 
-@compiled
-def _interpolate(mesh: FloatArray, spacing: float, surface: Float32Array) -> None:
+@compiled_leaf
+def _interpolate(room: SurfaceRoom, spacing: float, surface: Float32Array) -> None:
     """Bilinear between corners of one surface; across an edge, or a gap, the nearest corner."""
-    lefts, shares = np.empty(surface.shape[1], np.int64), np.empty(surface.shape[1])
-    for column in range(surface.shape[1]):
-        lefts[column] = min(int(column / spacing), mesh.shape[1] - 1)
-        shares[column] = column / spacing - lefts[column]
+    mesh, lefts, shares = room.mesh, room.lefts, room.shares
     a, b, c, d = 0.0, 0.0, 0.0, 0.0
     is_smooth = False
     for row in range(surface.shape[0]):
@@ -239,8 +313,35 @@ def depth_surfaces(
     spacing: float,
     surfaces: Float32Array,
 ) -> None:
-    """Writes the depth maps' surface (B, H, W) in B virtual images; see ``depth_surface``."""
+    """Writes the depth maps' surface (B, H, W) in B virtual images; see ``_depth_surface``.
+
+    Args:
+        views: the light field.
+        usual_inverse_depth: the median of all depth maps.
+        poses: (B, 4, 4) world_from_camera.
+        intrinsics: (4,) fx, fy, cx, cy.
+        spacing: of the mesh's corners, virtual pixels.
+        surfaces: (B, H, W) receives the inverse depths.
+    """
+    room = surface_room_for(surfaces.shape[2], surfaces.shape[1], spacing)
+    sources = np.full((len(poses), SOURCE_VIEWS), -1, np.int64)
+    is_source = np.zeros(len(views.centres), np.bool_)
     for index in range(len(poses)):
-        depth_surface(
-            views, usual_inverse_depth, poses[index], intrinsics, spacing, surfaces[index]
+        own = sources[index]
+        for number in range(
+            _choose_sources(views, usual_inverse_depth, poses[index], room.costs, own)
+        ):
+            is_source[own[number]] = True
+    focal = 0.5 * (intrinsics[0] + intrinsics[1])
+    samples = depth_samples(views, is_source, focal, spacing)
+    for index in range(len(poses)):
+        _depth_surface(
+            views,
+            samples,
+            sources[index],
+            poses[index],
+            intrinsics,
+            spacing,
+            room,
+            surfaces[index],
         )
