@@ -15,7 +15,13 @@ from pipelines.lightfield.proxy import (
     SOURCE_VIEWS,
     TURN_COST,
 )
-from pipelines.lightfield.splat_kernels import TOGETHER, DepthSamples, depth_samples, splat
+from pipelines.lightfield.splat_kernels import (
+    ELSEWHERE,
+    TOGETHER,
+    DepthSamples,
+    depth_samples,
+    splat,
+)
 from pipelines.lightfield.views import ViewArrays
 
 
@@ -50,8 +56,8 @@ class SurfaceRoom(NamedTuple):
     """Memory for the surface from depth maps in images of one size, over a mesh of h x w corners.
 
     Attributes:
-        corners: ``(h (w + 1),)`` inverse depths of the mesh, row by row; the last column takes what
-            lies outside.
+        corners: ``(h w + ELSEWHERE,)`` inverse depths of the mesh, row by row, and what lies
+            outside.
         padded: ``(h + 2, w + 2)`` the mesh with a border.
         mesh: ``(h, w)`` as it is in the end.
         empty: ``(h w,)`` corners without a depth, and
@@ -89,7 +95,7 @@ def surface_room_for(width: int, height: int, spacing: float) -> SurfaceRoom:
         lefts[column] = min(int(column / spacing), columns - 1)
         shares[column] = column / spacing - lefts[column]
     return SurfaceRoom(
-        np.empty(rows * (columns + 1)),
+        np.empty(rows * columns + ELSEWHERE),
         np.zeros((rows + 2, columns + 2)),
         np.empty((rows, columns)),
         np.empty(rows * columns, np.int64),
@@ -173,7 +179,7 @@ def _depth_surface(
         )
     for i in range(len(corners)):
         corners[i] = 0.0
-    height, columns = len(room.mesh), room.mesh.shape[1] + 1
+    height, columns = len(room.mesh), room.mesh.shape[1]
     for number in range(SOURCE_VIEWS):
         if sources[number] < 0:
             break
@@ -202,7 +208,7 @@ def _leave_out_pinholes(room: SurfaceRoom) -> None:
     padded = room.padded
     for row in range(height):
         for column in range(width):
-            padded[row + 1, column + 1] = room.corners[row * (width + 1) + column]
+            padded[row + 1, column + 1] = room.corners[row * width + column]
     for row in range(height):
         _keep_solid(padded[row], padded[row + 1], padded[row + 2], room.mesh[row])
 

@@ -17,6 +17,9 @@ from pipelines.lightfield.views import ViewArrays
 
 # Samples that are worked on together; always so many, so that none are left over.
 TOGETHER = 128
+# Behind the mesh, what lies outside goes to so many places by turns: numbers that are written to
+# one place, one after the other, wait for each other.
+ELSEWHERE = 16
 # Points nearer to the camera's plane than this share of their recorded depth are left out.
 SMALLEST_DEPTH = 1e-9
 
@@ -104,9 +107,10 @@ def splat(
         numbers: (16,) overwritten.
         scratch: (TOGETHER,) overwritten.
         cells: (TOGETHER,) int32, overwritten.
-        corners: (height * columns,) inverse depths at the mesh's corners, changed.
+        corners: (height * columns + ELSEWHERE,) inverse depths at the mesh's corners, and what lies
+            outside; changed.
         height: rows of the mesh.
-        columns: of the mesh, the last of which takes what lies outside.
+        columns: of the mesh.
     """
     numbers[12] = views.level_size[view, 0, 0] / views.depth_size[view, 0]
     numbers[13] = views.level_size[view, 0, 1] / views.depth_size[view, 1]
@@ -159,15 +163,15 @@ def _place(
         numbers: turn (3, 3), shift (3,), columns and rows of the view's finest level that one of
             the depth map spans: a pixel p of that level at inverse depth d is at turn p + shift d.
         height: rows of the mesh.
-        columns: of the mesh, with the one for what lies outside.
+        columns: of the mesh.
         scratch: receives inverse depths in the virtual image.
-        cells: receives the corners' indices; the end of a row for what lies outside.
+        cells: receives the corners' indices; behind the mesh for what lies outside.
     """
     t0, t1, t2, t3, t4 = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
     t5, t6, t7, t8 = numbers[5], numbers[6], numbers[7], numbers[8]
     s0, s1, s2, scale_x, scale_y = numbers[9], numbers[10], numbers[11], numbers[12], numbers[13]
-    right, bottom = np.float64(columns - 1), np.float64(height)
-    outside, row_length = np.int32(columns - 1), np.int32(columns)
+    right, bottom = np.float64(columns), np.float64(height)
+    outside, row_length = np.int32(height * columns), np.int32(columns)
     for i in range(np.uintp(TOGETHER)):
         value = np.float64(inverse_depth[first + i])
         x = (np.float64(sample_columns[first + i]) + 0.5) * scale_x - 0.5
@@ -179,5 +183,6 @@ def _place(
         is_inside = depth > SMALLEST_DEPTH
         is_inside &= (u >= 0.0) & (u < right) & (v >= 0.0) & (v < bottom)
         column, row = np.int32(u if is_inside else 0.0), np.int32(v if is_inside else 0.0)
-        cells[i] = np.int32(row * row_length) + column if is_inside else outside
+        cell, turn = np.int32(row * row_length) + column, np.int32(i) & np.int32(ELSEWHERE - 1)
+        cells[i] = cell if is_inside else outside + turn
         scratch[i] = value * reciprocal if is_inside else 0.0
