@@ -34,6 +34,8 @@ from pipelines.lightfield.views import ViewArrays
 
 # Views that many are narrowed down to, at most. The outlook's points are one batch.
 MOST_NARROWED = VIEWS_PER_CORNER * POINTS
+# Instead of the last tile that a view was in.
+NARROWED = -2
 
 
 class Tiling(NamedTuple):
@@ -182,15 +184,14 @@ def _narrow(index: ViewIndex, space: Tiling) -> int:
         Their number.
     """
     count = 0
+    space.slots[0] = -1
     for rank in range(VIEWS_PER_CORNER):
         for point in range(POINTS):
             view = space.views[rank, point]
             if view < 0 or space.weights[rank, point] <= 0.0:
                 continue
-            is_new = True
-            for other in range(count):
-                is_new = is_new and space.narrow_order[other] != view
-            if is_new:
+            if space.slots[0, view] != NARROWED:
+                space.slots[0, view] = NARROWED
                 space.narrow_order[count] = view
                 place = index.places[view]
                 for i in range(VIEW_NUMBERS):

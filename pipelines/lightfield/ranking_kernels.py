@@ -178,25 +178,18 @@ def _count_open(scratch: Float32Array, spheres: Float32Array, group: int) -> np.
 
 
 @compiled_loop
-def _count_nearer(scratch: Float32Array, numbers: Float32Array, row: int) -> np.float32:
-    """At how many points the angle alone does not rule out that the view is among the best."""
-    cx, cy, cz = numbers[row, 12], numbers[row, 13], numbers[row, 14]
-    count = ZERO
-    for i in range(POINTS):
-        squared, _ = _deviation(scratch, i, cx, cy, cz)
-        worst = scratch[BEST + (RANKS - 1) * POINTS + i] + ROUNDING
-        count += ONE if squared <= worst * worst else ZERO
-    return count
+def _set_penalties(scratch: Float32Array, numbers: Float32Array, row: int) -> np.float32:
+    """Writes a view's penalty at each point; infinite where it does not show the point.
 
-
-@compiled_loop
-def _set_penalties(scratch: Float32Array, numbers: Float32Array, row: int) -> None:
-    """Writes a view's penalty at each point; infinite where it does not show the point."""
+    Returns:
+        At how many points it may be among the best.
+    """
     a0, a1, a2, a3 = numbers[row, 0], numbers[row, 1], numbers[row, 2], numbers[row, 3]
     b0, b1, b2, b3 = numbers[row, 4], numbers[row, 5], numbers[row, 6], numbers[row, 7]
     c0, c1, c2, c3 = numbers[row, 8], numbers[row, 9], numbers[row, 10], numbers[row, 11]
     cx, cy, cz = numbers[row, 12], numbers[row, 13], numbers[row, 14]
     right, bottom, strip = numbers[row, 15] - HALF, numbers[row, 16] - HALF, numbers[row, 17]
+    count = ZERO
     for i in range(POINTS):
         px, py, pz = scratch[PX + i], scratch[PY + i], scratch[PZ + i]
         depth = c0 * px + c1 * py + c2 * pz + c3
@@ -208,10 +201,14 @@ def _set_penalties(scratch: Float32Array, numbers: Float32Array, row: int) -> No
         own += RESOLUTION * max(recorded * scratch[NEARNESS + i] - ONE, ZERO)
         margin = min(u + HALF, right - u, v + HALF, bottom - v)
         own += BORDER * max(strip / max(margin, MARGIN * strip) - ONE, ZERO)
-        scratch[OWN + i] = own if (depth > ZERO) & (margin >= ZERO) else NEVER
+        is_shown = (depth > ZERO) & (margin >= ZERO)
+        is_better = is_shown & (own <= scratch[BEST + (RANKS - 1) * POINTS + i])
+        count += ONE if is_better else ZERO
+        scratch[OWN + i] = own if is_shown else NEVER
         scratch[COLUMN + i] = u
         scratch[ROW + i] = v
         scratch[INVERSE + i] = reciprocal
+    return count
 
 
 @compiled_leaf
@@ -299,9 +296,8 @@ def rank_views(
         if group_count > 1 and _count_open(scratch, spheres, group) == ZERO:
             continue
         for row in range(starts[group], starts[group + 1]):
-            if _count_nearer(scratch, numbers, row) == ZERO:
+            if _set_penalties(scratch, numbers, row) == ZERO:
                 continue
-            _set_penalties(scratch, numbers, row)
             view = order[row]
             if has_depth:
                 _leave_out_hidden(
