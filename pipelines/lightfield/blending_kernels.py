@@ -14,6 +14,7 @@ from pipelines.lightfield.blending import (
     MOST_RANKED,
     MOST_TILES,
     OUTLOOK_POINTS,
+    OUTLOOK_VIEWS,
     TILE_SIDE,
     VIEWS_PER_CORNER,
     VIEWS_PER_TILE,
@@ -33,7 +34,7 @@ from pipelines.lightfield.view_index import VIEW_NUMBERS, ViewIndex
 from pipelines.lightfield.views import ViewArrays
 
 # Views that many are narrowed down to, at most. The outlook's points are one batch.
-MOST_NARROWED = VIEWS_PER_CORNER * POINTS
+MOST_NARROWED = OUTLOOK_VIEWS * POINTS
 # Instead of the last tile that a view was in.
 NARROWED = -2
 
@@ -178,14 +179,14 @@ def set_places(
 
 @compiled_leaf
 def _narrow(index: ViewIndex, space: Tiling) -> int:
-    """Makes an index of those views alone that have any weight at the points of the outlook.
+    """Makes an index of those views alone that are the best at the points of the outlook.
 
     Returns:
         Their number.
     """
     count = 0
     space.slots[0] = -1
-    for rank in range(VIEWS_PER_CORNER):
+    for rank in range(OUTLOOK_VIEWS):
         for point in range(POINTS):
             view = space.views[rank, point]
             if view < 0 or space.weights[rank, point] <= 0.0:
