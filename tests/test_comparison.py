@@ -225,6 +225,36 @@ def test_threads_and_company_do_not_change_a_cost() -> None:
     assert alone.costs(np.empty((0, 4, 4)), camera, query, Cost.ROBUST, True).shape == (0,)
 
 
+@every_cost
+@pytest.mark.parametrize("blending", Blending)
+@pytest.mark.parametrize("fit_gain", [False, True])
+def test_leaving_pixels_out_renders_the_others_as_before(
+    cost: Cost, blending: Blending, fit_gain: bool
+) -> None:
+    """Whatever is left: a lattice, a few pixels, a corner, one; where views end and where not."""
+    generator = np.random.default_rng(3)
+    poses = [looking([x, -3.0, 1.0], [x, 0.0, 1.0]) for x in (-1.4, 0.0, 0.6, 1.3)]
+    views = photographed(poses, pinhole(48, 36, 60.0), WALL)
+    camera = pinhole(31, 22, 17.0)
+    pose = looking([0.2, -2.5, 1.0], [0.7, 0.0, 1.2])
+    renderer = Renderer(views, WALL, blending, threads=1)
+    view = renderer.render_with_surface(pose, camera)
+    assert 0.3 < view.covered.mean() < 0.95
+    rows, columns = np.indices((camera.height, camera.width))
+    kept = [
+        (columns + 2 * rows) % 5 == 3,
+        generator.uniform(size=rows.shape) < 0.03,
+        (rows > 15) & (columns < 12),
+        (rows == 21) & (columns == 30),
+    ]
+    for is_kept in kept:
+        query = generator.uniform(0.0, 255.0, (*rows.shape, 3)).astype(np.float32)
+        query[~is_kept] = np.nan
+        found = renderer.costs(pose[None], camera, query, cost, fit_gain)[0]
+        expected = compare(int(cost), view.rgba, prepared(query), fit_gain)
+        assert found == pytest.approx(expected, rel=1e-5)
+
+
 def test_impossible_requests_are_refused() -> None:
     poses = [looking([0.0, -3.0, 1.0], [0.0, 0.0, 1.0])]
     views = photographed(poses, pinhole(48, 36, 30.0), WALL)

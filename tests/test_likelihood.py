@@ -134,6 +134,14 @@ def test_impossible_sharpness_is_refused(sharpness: float) -> None:
         Likelihood(Cost.SQUARED, sharpness)
 
 
+def test_impossible_shares_of_the_pixels_are_refused() -> None:
+    for step in (0, -1, 4, 7):
+        with pytest.raises(OptionError, match="one pixel in"):
+            Likelihood(Cost.ROBUST, 80.0, one_pixel_in=step)
+    with pytest.raises(OptionError, match="neighbouring pixels"):
+        Likelihood(Cost.GRADIENT, 60.0, one_pixel_in=5)
+
+
 def test_likelihoods_have_names() -> None:
     assert set(LIKELIHOODS) == {"squared", "robust", "zncc", "gradient"}
     assert likelihood_named("squared").cost is Cost.SQUARED
@@ -227,3 +235,20 @@ def test_pixels_that_do_not_show_the_scene_do_not_count(comparison: Comparison) 
     right, wrong = comparison.log_likelihoods(states, left_out)
     assert right > wrong
     assert right == pytest.approx(comparison.log_likelihoods(states, observation)[0], abs=0.5)
+
+
+def test_a_fifth_of_the_pixels_says_the_same_on_average() -> None:
+    """Over the turns of all lattices: each pixel has one."""
+    camera = CAMERA.intrinsics
+    poses = PLANAR.poses(TRUTH + np.array([[0.0, 0.0, 0.0], [0.1, -0.1, 0.03]])) @ MOUNT
+    image = photo(TRUTH).astype(np.float32)
+    renderer = Renderer.of_scene(wall_scene(), threads=1)
+    whole = renderer.costs(poses, camera, image, Cost.ROBUST, False)
+    parts = []
+    for number in range(5):
+        query = Observation(image, camera, number).thinned(5)
+        count = np.isfinite(query[..., 0]).sum()
+        parts.append(count * renderer.costs(poses, camera, query, Cost.ROBUST, False))
+    np.testing.assert_allclose(np.sum(parts, axis=0) / image[..., 0].size, whole, rtol=1e-5)
+    spread = np.std(np.array(parts) / (image[..., 0].size / 5.0), axis=0)
+    assert np.all(spread > 1e-4 * whole)

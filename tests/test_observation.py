@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pipelines.artifacts.array_types import ImageArray
-from pipelines.localize.observation import Observer
+from pipelines.artifacts.array_types import BoolArray, ImageArray
+from pipelines.localize.observation import FEWEST_COMPARED, LATTICES, Observation, Observer
 from tests.report_samples import CAMERA, facing_wall, photo
 
 TRUTH = facing_wall(-0.4, 1.7, 0.15)
@@ -32,6 +32,49 @@ def test_an_image_that_shows_nothing_is_blind_and_any_other_is_not() -> None:
     assert not seen.is_blind
     assert set(seen.by_width) == {12, 24}
     assert seen.contrast == pytest.approx(seen.by_width[12].image.mean(axis=2).std(), rel=1e-6)
+
+
+# --- one pixel in so many -----------------------------------------------------------------------
+
+
+def kept(number: int, one_in: int, height: int, width: int) -> BoolArray:
+    """Which pixels of an image remain."""
+    image = np.ones((height, width, 3), dtype=np.float32)
+    observation = Observation(image, CAMERA.intrinsics, number)
+    return np.asarray(~np.isnan(observation.thinned(one_in)).any(axis=2))
+
+
+@pytest.mark.parametrize("one_in", LATTICES)
+def test_pixels_take_turns_and_are_spread_over_rows_and_columns(one_in: int) -> None:
+    lattices = np.array([kept(number, one_in, 30, 40) for number in range(7, 7 + one_in)])
+    np.testing.assert_array_equal(lattices.sum(axis=0), 1)
+    for lattice in lattices:
+        for axis, size in ((0, 30), (1, 40)):
+            counts = lattice.sum(axis=axis)
+            assert counts.max() - counts.min() <= 1
+            assert abs(counts.mean() - size / one_in) < 1e-9
+        # No two that remain are neighbours.
+        assert one_in == 1 or not (lattice[:, 1:] & lattice[:, :-1]).any()
+        assert one_in == 1 or not (lattice[1:] & lattice[:-1]).any()
+
+
+@pytest.mark.parametrize(("width", "step"), [(20, 1), (28, 2), (36, 3), (40, 5)])
+def test_enough_pixels_remain(width: int, step: int) -> None:
+    height = 3 * width // 4
+    remaining = kept(3, 5, height, width).sum()
+    assert remaining == pytest.approx(height * width / step, rel=0.01)
+    assert remaining >= FEWEST_COMPARED
+
+
+def test_images_are_counted_and_what_is_fixed_stays_left_out() -> None:
+    observer = Observer(CAMERA, [24])
+    numbers = [observer(taped(photo(state))).by_width[24].number for state in WAY]
+    assert numbers == list(range(len(WAY)))
+    image = np.ones((30, 40, 3), dtype=np.float32)
+    image[:4] = np.nan
+    remaining = ~np.isnan(Observation(image, CAMERA.intrinsics).thinned(5)[..., 0])
+    assert not remaining[:4].any()
+    np.testing.assert_array_equal(remaining[4:], kept(0, 5, 30, 40)[4:])
 
 
 # --- what is fixed to the camera ---------------------------------------------------------------
