@@ -29,6 +29,7 @@ from pipelines.lightfield.sampling_kernels import (
     place_samples,
 )
 from pipelines.lightfield.texel_intrinsic import LANES
+from pipelines.lightfield.views import ViewArrays
 from pipelines.lightfield.workspace import END, SLOTS, LightField, Links, Workspace
 
 # On a pyramid level a pixel spans about one: levels change where it spans sqrt(2) 2^k of the finest
@@ -53,16 +54,7 @@ def set_net(
             continue
         view_mapping(views.projection, view, pose, space.rays, space.maps, space.shifts)
         space.is_mapped[view] = True
-        sees = False
-        for i in range(FRUSTUM_SAMPLES):
-            y = i * (height - 1) // (FRUSTUM_SAMPLES - 1)
-            for j in range(FRUSTUM_SAMPLES):
-                x = j * (width - 1) // (FRUSTUM_SAMPLES - 1)
-                d = surface[y * width + x]
-                u, v, depth = locate(x, y, d, view, space.maps, space.shifts)
-                is_seen = d > 0.0 and depth > 0.0 and is_inside(views.level_size, view, u, v)
-                sees = sees or is_seen
-        space.takes_part[view] = sees
+        space.takes_part[view] = _sees_any(views, view, surface, width, height, space)
     cells = build_net(
         views.centres,
         pose,
@@ -76,6 +68,27 @@ def set_net(
     if cells > 0:
         order_by_label(space.labels, cells, space.order)
     return cells
+
+
+@compiled_leaf
+def _sees_any(
+    views: ViewArrays,
+    view: int,
+    surface: Float32Array,
+    width: int,
+    height: int,
+    space: Workspace,
+) -> bool:
+    """Whether a view, which is mapped, sees any of a grid of surface points."""
+    for i in range(FRUSTUM_SAMPLES):
+        y = i * (height - 1) // (FRUSTUM_SAMPLES - 1)
+        for j in range(FRUSTUM_SAMPLES):
+            x = j * (width - 1) // (FRUSTUM_SAMPLES - 1)
+            d = surface[y * width + x]
+            u, v, depth = locate(x, y, d, view, space.maps, space.shifts)
+            if d > 0.0 and depth > 0.0 and is_inside(views.level_size, view, u, v):
+                return True
+    return False
 
 
 @compiled_leaf

@@ -236,12 +236,9 @@ def render_nets(
         space.is_mapped[:] = False
         cells = set_net(field, pose, intrinsics, surface, width, space)
         pixels = image.reshape((-1, 4))
-        if cells == 0:
-            image[:] = 0.0
-        else:
-            colours = pixels.reshape(-1)
+        colours = pixels.reshape(-1)
         empty = _show_cells(field, pose, intrinsics, cells, surface, space, pixels, colours)
-        if empty > 0:
+        if cells > 0 and empty > 0:
             _show_substitutes(field, pose, intrinsics, empty, width, surface, space, pixels)
         if kind != NO_COMPARISON:
             costs[index] = compare(kind, image, query, fit_gain)

@@ -16,6 +16,9 @@ from pipelines.lightfield.net import (
 from pipelines.lightfield.net_cell_kernels import NetRoom, line_net, triangle_net
 from pipelines.lightfield.triangulation import GHOST
 
+# So many are sorted without memory of their own.
+FEW = 32
+
 
 @compiled_leaf
 def project_centre(
@@ -33,12 +36,25 @@ def project_centre(
 
 
 @compiled
+def _sort_many(values: FloatArray, count: int, order: IntArray) -> None:
+    order[:count] = np.argsort(values[:count], kind="mergesort")
+
+
+@compiled_leaf
 def _sort(values: FloatArray, count: int, order: IntArray) -> None:
     """Writes the order of the first ``count`` values.
 
     Stable: views from one place, as a turning camera takes them, are no matter of chance.
     """
-    order[:count] = np.argsort(values[:count], kind="mergesort")
+    if count > FEW:
+        _sort_many(values, count, order)
+        return
+    for number in range(count):
+        place = number
+        while place > 0 and values[order[place - 1]] > values[number]:
+            order[place] = order[place - 1]
+            place -= 1
+        order[place] = number
 
 
 @compiled_leaf

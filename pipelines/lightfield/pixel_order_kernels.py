@@ -95,19 +95,30 @@ def _add_up(starts: IntArray) -> None:
 
 @compiled_leaf
 def _order_some(labels: IntArray, order: PixelOrder) -> None:
-    """Pixel by pixel."""
-    starts = order.starts
-    for i in range(len(order.chosen)):
-        starts[labels[order.chosen[i]] + 1] += 1
+    """Pixel by pixel; a cell's place is read and written only where another cell begins."""
+    starts, count = order.starts, np.uintp(len(order.chosen))
+    last, run = np.int64(0), np.int64(0)
+    for i in range(count):
+        label = labels[np.uintp(order.chosen[i])]
+        if label != last:
+            starts[last + 1] += run
+            last, run = label, np.int64(0)
+        run += 1
+    starts[last + 1] += run
     _add_up(starts)
-    for i in range(len(order.chosen)):
-        label = labels[order.chosen[i]]
-        place = starts[label]
-        starts[label] = place + 1
+    last = np.int64(0)
+    place = np.uintp(starts[0])
+    for i in range(count):
+        label = labels[np.uintp(order.chosen[i])]
+        if label != last:
+            starts[last] = place
+            last, place = label, np.uintp(starts[label])
         order.columns[place] = order.chosen_columns[i]
         order.rows[place] = order.chosen_rows[i]
         order.pixels[place] = i
         order.indices[place] = order.chosen[i]
+        place += np.uintp(1)
+    starts[last] = place
 
 
 @compiled_leaf
