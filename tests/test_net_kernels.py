@@ -13,12 +13,15 @@ from scipy.spatial import ConvexHull, Delaunay
 
 from pipelines.artifacts.array_types import FloatArray, IntArray
 from pipelines.geometry.camera import Intrinsics
-from pipelines.lightfield.compiled import source_stamp
+from pipelines.lightfield.compiled import compiled, source_stamp
 from pipelines.lightfield.net import pixel_weights
 from pipelines.lightfield.net_cell_kernels import net_room_for
 from pipelines.lightfield.net_kernels import build_net
 from pipelines.lightfield.triangulation import GHOST, delaunay, triangulation_for
 from tests.lightfield_samples import looking, pinhole, pixels_of
+
+# They are parts of a kernel; called from here they would not be compiled.
+compiled_delaunay, compiled_net = compiled(delaunay), compiled(build_net)
 
 
 def triangulate(points: FloatArray) -> tuple[IntArray, IntArray]:
@@ -26,7 +29,7 @@ def triangulate(points: FloatArray) -> tuple[IntArray, IntArray]:
     room = triangulation_for(len(points))
     triangles = room.triangles
     triangles[:] = -7
-    total = delaunay(np.ascontiguousarray(points, dtype=np.float64), len(points), room)
+    total = compiled_delaunay(np.ascontiguousarray(points, dtype=np.float64), len(points), room)
     assert 0 <= total <= len(triangles)
     used = triangles[:total]
     assert np.all(triangles[total:] == -7) or total > 0
@@ -140,7 +143,7 @@ def test_points_on_a_line_have_no_triangles(count: int) -> None:
     room = triangulation_for(count)
     for direction in ([1.0, 0.0], [0.0, 1.0], [3.0, -2.0], [1.0, np.pi]):
         points = 1e3 + steps[:, None] * np.array(direction)
-        assert delaunay(points, count, room) == 0
+        assert compiled_delaunay(points, count, room) == 0
 
 
 def test_a_few_triangulations_by_hand() -> None:
@@ -164,7 +167,7 @@ def kernel_weights(
     views = np.zeros((4 * count + 8, 3), dtype=np.int64)
     coefficients = np.zeros((4 * count + 8, 3, 3))
     label = np.full((camera.height, camera.width), -9, dtype=np.int64)
-    cells = build_net(
+    cells = compiled_net(
         centres,
         pose,
         camera.vector(),
@@ -256,7 +259,7 @@ def test_a_camera_grid_seen_straight_on_has_sound_weights() -> None:
 
 def test_machine_code_on_disk_is_bound_to_all_modules_that_went_into_it(tmp_path: Path) -> None:
     """A kernel holds the code of functions from other modules; numba looks at its own alone."""
-    functions: tuple[Any, ...] = (delaunay, build_net)
+    functions: tuple[Any, ...] = (compiled_delaunay, compiled_net)
     for function in functions:
         module = Path(function.__code__.co_filename)
         assert function._cache._cache_file._source_stamp == source_stamp(module)

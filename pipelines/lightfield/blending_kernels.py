@@ -19,7 +19,7 @@ from pipelines.lightfield.blending import (
     VIEWS_PER_CORNER,
     VIEWS_PER_TILE,
 )
-from pipelines.lightfield.compiled import compiled, compiled_leaf
+from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_step
 from pipelines.lightfield.ranking_kernels import (
     POINTS,
     RANKING_SCRATCH,
@@ -82,7 +82,7 @@ class Tiling(NamedTuple):
     at_corner: FloatArray
 
 
-@compiled
+@compiled_step
 def tiling_for(width: int, height: int, view_count: int, group_count: int) -> Tiling:
     """Makes a tiling for images of one size and a light field of so many views and groups."""
     points = point_count(width, height)
@@ -126,7 +126,7 @@ def tile_borders(size: int) -> IntArray:
     return borders
 
 
-@compiled
+@compiled_step
 def set_labels(across: IntArray, down: IntArray, labels: IntArray) -> None:
     """Writes the tile in which each pixel (H, W) lies, given the columns and rows of corners."""
     height, width = labels.shape
@@ -137,14 +137,14 @@ def set_labels(across: IntArray, down: IntArray, labels: IntArray) -> None:
             labels[down[i] : last_row, across[j] : last_column] = i * (len(across) - 1) + j
 
 
-@compiled
+@compiled_step
 def point_count(width: int, height: int) -> int:
     """How many points are ranked in an image, in whole batches of ``POINTS``."""
     corners = (tile_count(width) + 1) * (tile_count(height) + 1)
     return POINTS + (corners + POINTS - 1) // POINTS * POINTS
 
 
-@compiled
+@compiled_step
 def set_places(
     width: int,
     height: int,

@@ -1,15 +1,23 @@
-"""How the fast path is compiled: one decorator, so that all kernels agree."""
+"""How the fast path is compiled: a few decorators, so that all kernels agree.
+
+Compiling is slow, and each step of it is paid for by everybody who starts for the first time. So
+only what Python calls gets what Python needs to call it (``compiled``): turning Python's objects
+into numbers takes as much code as many a kernel. What compiled functions call is compiled without.
+"""
 
 import contextlib
 import functools
+import gc
 import hashlib
 import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-from numba import njit
+from numba import njit, types
+from numba.core import event
 from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.extending import models, register_model
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -24,18 +32,32 @@ def compiled(function: Function) -> Function:
     It releases the interpreter lock, divides as the processor does (no exception for zero), and may
     fuse multiplication and addition; infinities and NaN keep their meaning.
     """
-    return _compiled(function, EXACT, count_references=True)
+    options = _options(EXACT, count_references=True, is_copied=False)
+    dispatcher: Any = njit(**options)(function)
+    # Where no folder can be written to, functions are compiled anew in every process.
+    with contextlib.suppress(RuntimeError):
+        dispatcher._cache = _DependencyCache(function)
+    # To callers a compiled function is the function that it was made from.
+    return cast("Function", dispatcher)
+
+
+def compiled_step(function: Function) -> Function:
+    """Like ``compiled``, for functions that only compiled ones call.
+
+    They are compiled and kept along with their callers. From Python it is the plain function.
+    """
+    return _compiled_inside(function, EXACT, count_references=True, is_copied=False)
 
 
 def compiled_leaf(function: Function) -> Function:
-    """Like ``compiled``, for small functions that neither make arrays nor slice them.
+    """Like ``compiled_step``, for small functions that neither make arrays nor slice them.
 
     Numba counts the references to an array in every function that it is passed to, by locked
     operations on memory that all threads share. In a function that is called for every pixel this
     takes several times as long as the work itself; here it is left out. A function that makes an
     array after all does not compile.
     """
-    return _compiled(function, EXACT, count_references=False)
+    return _compiled_inside(function, EXACT, count_references=False, is_copied=True)
 
 
 def compiled_part(function: Function) -> Function:
@@ -43,7 +65,7 @@ def compiled_part(function: Function) -> Function:
 
     They are not copied into their callers, where the compiler would work on each of them again.
     """
-    return _compiled(function, EXACT, count_references=False, is_copied=False)
+    return _compiled_inside(function, EXACT, count_references=False, is_copied=False)
 
 
 def compiled_loop(function: Function) -> Function:
@@ -53,29 +75,73 @@ def compiled_loop(function: Function) -> Function:
     that, all that is read and written stands in few flat arrays at constant distances: then the
     compiler can prove that nothing it writes is read again.
     """
-    return _compiled(function, REORDERED, count_references=False)
+    return _compiled_inside(function, REORDERED, count_references=False, is_copied=True)
 
 
-def _compiled(
-    function: Function,
-    arithmetic: set[str],
-    count_references: bool,
-    is_copied: bool | None = None,
+def _compiled_inside(
+    function: Function, arithmetic: set[str], count_references: bool, is_copied: bool
 ) -> Function:
-    options: dict[str, Any] = {
+    options = _options(arithmetic, count_references, is_copied) | {"no_cpython_wrapper": True}
+    dispatcher: Any = njit(**options)(function)
+    # In compiled functions it stands for its machine code, which Python could not call.
+    inside: Any = function
+    inside._numba_type_ = _InsideType(dispatcher)
+    # The type alone does not keep it.
+    inside.dispatcher = dispatcher
+    return function
+
+
+class _InsideType(types.Dispatcher):
+    """A compiled function that is compiled once for numbers of a type, constants or not."""
+
+    def get_call_type(self, context: Any, args: Any, kws: Any) -> Any:
+        """The signature of the version for some types, which is compiled where there is none."""
+        general: Any = types.unliteral
+        return super().get_call_type(context, tuple(general(own) for own in args), kws)
+
+
+register_model(_InsideType)(models.OpaqueModel)
+
+
+def _options(arithmetic: set[str], count_references: bool, is_copied: bool) -> dict[str, Any]:
+    return {
         "nogil": True,
         "error_model": "numpy",
         "fastmath": arithmetic,
         "_nrt": count_references,
         # What is called for every pixel belongs into the loop that calls it.
-        "forceinline": not count_references if is_copied is None else is_copied,
+        "forceinline": is_copied,
+        # It is not called by C.
+        "no_cfunc_wrapper": True,
     }
-    dispatcher: Any = njit(**options)(function)
-    # Where no folder can be written to, functions are compiled anew in every process.
-    with contextlib.suppress(RuntimeError):
-        dispatcher._cache = _DependencyCache(function)
-    # To callers a compiled function is the function that it was made from.
-    return cast("Function", dispatcher)
+
+
+class _CollectorPause(event.Listener):
+    """Stops Python's search for unused objects in cycles while functions are compiled.
+
+    Compiling makes so many objects that stay that a seventh of its time would be this search.
+    """
+
+    def __init__(self) -> None:
+        self._depth = 0
+        self._was_on = False
+
+    def on_start(self, event: event.Event) -> None:
+        """Compiling starts; within it, that of the functions that are called."""
+        if self._depth == 0:
+            self._was_on = gc.isenabled()
+            gc.disable()
+        self._depth += 1
+
+    def on_end(self, event: event.Event) -> None:
+        """Compiling ends, well or not."""
+        self._depth -= 1
+        if self._depth == 0 and self._was_on:
+            gc.enable()
+
+
+# Numba compiles in one thread at a time.
+event.register("numba:compile", _CollectorPause())  # type: ignore[no-untyped-call]
 
 
 class _DependencyCache(FunctionCache):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray, IntArray
-from pipelines.lightfield.compiled import compiled
+from pipelines.lightfield.compiled import compiled, compiled_step
 
 # Rows and columns to the eight neighbours of a pixel.
 DIRECTIONS = np.array([(-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)])
@@ -19,7 +19,7 @@ FIT_DAMPING = 50.0
 SMALLEST_CHANGE = 0.5
 
 
-@compiled
+@compiled_step
 def _slopes(
     inverse_depth: Float32Array, known: BoolArray, row: int, column: int, slopes: FloatArray
 ) -> None:
@@ -95,7 +95,7 @@ def carry_on(
                 completed[y, x] = np.float32(_weighted_median(values[:count], weights[:count]))
 
 
-@compiled
+@compiled_step
 def _weighted_median(values: FloatArray, weights: FloatArray) -> float:
     half = 0.0
     for weight in weights:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipelines.artifacts.array_types import Float32Array, FloatArray, ImageArray
-from pipelines.lightfield.compiled import compiled
+from pipelines.lightfield.compiled import compiled, compiled_step
 
 RADIUS = 1
 # Costs run from 0 (alike) to about this where the windows have nothing in common.
@@ -22,7 +22,7 @@ _FAR = np.float32(1e9)
 _NEAR = np.float32(1e-6)
 
 
-@compiled
+@compiled_step
 def _repeat_border(padded: Float32Array) -> None:
     """Fills the border of a padded image with its nearest pixels."""
     height, width = padded.shape
@@ -223,7 +223,7 @@ def distinctness(volume: ImageArray, index: Float32Array, distinct: Float32Array
             distinct[y, x] = total[x] * share - np.float32(volume[plane, y, x])
 
 
-@compiled
+@compiled_step
 def _step(
     cost: Float32Array,
     before: Float32Array,
@@ -243,7 +243,7 @@ def _step(
     return np.float32(least)
 
 
-@compiled
+@compiled_step
 def _first_step(cost: Float32Array, after: Float32Array) -> np.float32:
     """The beginning of a path: copies the costs ``(D + 2,)`` and returns the minimum."""
     least = _FAR
@@ -253,7 +253,7 @@ def _first_step(cost: Float32Array, after: Float32Array) -> np.float32:
     return np.float32(least)
 
 
-@compiled
+@compiled_step
 def _load_row(volume: ImageArray, y: int, costs: Float32Array) -> None:
     """Row y of the volume ``(D, H, W)`` as ``(W, D + 2)``."""
     for d in range(volume.shape[0]):
@@ -262,7 +262,7 @@ def _load_row(volume: ImageArray, y: int, costs: Float32Array) -> None:
             costs[x, d + 1] = np.float32(layer[x])
 
 
-@compiled
+@compiled_step
 def _path_row(
     costs: Float32Array,
     grey: Float32Array,
@@ -354,7 +354,7 @@ def aggregate(
             index[y, x] = _lowest(sums)
 
 
-@compiled
+@compiled_step
 def _lowest(values: Float32Array) -> np.float32:
     """Index of the smallest value, with a fraction from its neighbours."""
     best = 0

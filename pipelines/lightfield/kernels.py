@@ -16,7 +16,7 @@ from pipelines.artifacts.array_types import Float32Array, FloatArray, Int32Array
 from pipelines.lightfield.blending_kernels import build_tiles
 from pipelines.lightfield.cell_kernels import blend_cells, set_net
 from pipelines.lightfield.comparison import compare
-from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_loop
+from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_loop, compiled_step
 from pipelines.lightfield.mapping_kernels import virtual_rays
 from pipelines.lightfield.pixel_order_kernels import pixel_order_for
 from pipelines.lightfield.reference import SMALLEST_WEIGHT
@@ -102,7 +102,7 @@ def _show_cells(
     return _normalised(colours)
 
 
-@compiled
+@compiled_step
 def _show_substitutes(
     field: LightField,
     pose: FloatArray,

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pipelines.artifacts.array_types import FloatArray, IntArray
-from pipelines.lightfield.compiled import compiled, compiled_leaf
+from pipelines.lightfield.compiled import compiled_leaf, compiled_step
 from pipelines.lightfield.triangulation import (
     GHOST,
     Triangulation,
@@ -53,7 +53,7 @@ class NetRoom(NamedTuple):
     triangulation: Triangulation
 
 
-@compiled
+@compiled_step
 def net_room_for(count: int) -> NetRoom:
     """Memory for nets of up to so many views."""
     return NetRoom(

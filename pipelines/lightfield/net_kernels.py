@@ -6,7 +6,7 @@ What its cells are says ``net_cell_kernels``.
 import numpy as np
 
 from pipelines.artifacts.array_types import BoolArray, FloatArray, IntArray
-from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_part
+from pipelines.lightfield.compiled import compiled_leaf, compiled_part, compiled_step
 from pipelines.lightfield.net import (
     COINCIDENT_PIXELS,
     COINCIDENT_SHARE,
@@ -35,7 +35,7 @@ def project_centre(
     corner[1] = intrinsics[1] * y / z + intrinsics[3]
 
 
-@compiled
+@compiled_step
 def _sort_many(values: FloatArray, count: int, order: IntArray) -> None:
     order[:count] = np.argsort(values[:count], kind="mergesort")
 
@@ -102,7 +102,7 @@ def _set_scatter(count: int, room: NetRoom) -> bool:
     return bool(4.0 * determinant > FLATNESS_LIMIT * FLATNESS_LIMIT * trace**3)
 
 
-@compiled
+@compiled_step
 def _flat_direction(
     scatter: FloatArray, rotation: FloatArray, intrinsics: FloatArray, direction: FloatArray
 ) -> bool:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pipelines.artifacts.array_types import Float32Array, Int32Array, IntArray
-from pipelines.lightfield.compiled import compiled, compiled_leaf
+from pipelines.lightfield.compiled import compiled_leaf, compiled_step
 from pipelines.lightfield.texel_intrinsic import LANES
 
 # Pixels that are passed over at once where a row's labels stay the same.
@@ -44,7 +44,7 @@ class PixelOrder(NamedTuple):
     indices: Int32Array
 
 
-@compiled
+@compiled_step
 def pixel_order_for(chosen: Int32Array, width: int, cells: int) -> PixelOrder:
     """Memory for the order of some pixels of an image, by up to so many cells."""
     count = len(chosen)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pipelines.artifacts.array_types import Float32Array, FloatArray, Int32Array, IntArray
-from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_loop
+from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_loop, compiled_step
 from pipelines.lightfield.mapping_kernels import virtual_rays
 from pipelines.lightfield.proxy import (
     EDGE_FACTOR,
@@ -25,7 +25,7 @@ from pipelines.lightfield.splat_kernels import (
 from pipelines.lightfield.views import ViewArrays
 
 
-@compiled
+@compiled_step
 def plane_surface(
     pose: FloatArray, rays: FloatArray, plane: FloatArray, surface: Float32Array
 ) -> None:
@@ -85,7 +85,7 @@ class SurfaceRoom(NamedTuple):
     cells: Int32Array
 
 
-@compiled
+@compiled_step
 def surface_room_for(width: int, height: int, spacing: float) -> SurfaceRoom:
     """Memory for images of one size and corners that are so many pixels apart."""
     rows = int(np.ceil((height - 1) / spacing)) + 1

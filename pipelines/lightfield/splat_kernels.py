@@ -11,7 +11,7 @@ from pipelines.artifacts.array_types import (
     Int32Array,
     IntArray,
 )
-from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_loop
+from pipelines.lightfield.compiled import compiled_leaf, compiled_loop, compiled_step
 from pipelines.lightfield.proxy import SAMPLES_PER_CELL
 from pipelines.lightfield.views import ViewArrays
 
@@ -40,7 +40,7 @@ class DepthSamples(NamedTuple):
     inverse_depth: Float32Array
 
 
-@compiled
+@compiled_step
 def depth_samples(
     views: ViewArrays, is_source: BoolArray, focal: float, spacing: float
 ) -> DepthSamples:

@@ -9,7 +9,7 @@ view, everything between them is.
 import numpy as np
 
 from pipelines.artifacts.array_types import Float32Array, FloatArray, Int32Array, IntArray
-from pipelines.lightfield.compiled import compiled, compiled_leaf
+from pipelines.lightfield.compiled import compiled_leaf, compiled_step
 from pipelines.lightfield.mapping_kernels import is_inside, locate, view_mapping
 from pipelines.lightfield.net_kernels import project_centre
 from pipelines.lightfield.pixel_order_kernels import PixelOrder
@@ -62,7 +62,7 @@ def _set_box(
     return found
 
 
-@compiled
+@compiled_step
 def find_substitutes(
     field: LightField,
     pose: FloatArray,
@@ -130,7 +130,7 @@ def find_substitutes(
     return found
 
 
-@compiled
+@compiled_step
 def _nearest(
     field: LightField,
     pose: FloatArray,

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pipelines.artifacts.array_types import BoolArray, FloatArray, IntArray
-from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_part
+from pipelines.lightfield.compiled import compiled_leaf, compiled_part, compiled_step
 from pipelines.lightfield.net import SMALLEST_AREA
 
 GHOST = -1
@@ -39,7 +39,7 @@ class Triangulation(NamedTuple):
     removed: BoolArray
 
 
-@compiled
+@compiled_step
 def triangulation_for(count: int) -> Triangulation:
     """Memory for the triangulation of so many points."""
     most = 4 * count + 8

@@ -13,7 +13,7 @@ from pipelines.artifacts.array_types import (
 )
 from pipelines.lightfield.blending import VIEWS_PER_TILE
 from pipelines.lightfield.blending_kernels import Tiling, set_labels, tile_count, tiling_for
-from pipelines.lightfield.compiled import compiled
+from pipelines.lightfield.compiled import compiled_step
 from pipelines.lightfield.net_cell_kernels import NetRoom, net_room_for
 from pipelines.lightfield.pixel_order_kernels import (
     PixelOrder,
@@ -64,7 +64,7 @@ class Links(NamedTuple):
     next: IntArray
 
 
-@compiled
+@compiled_step
 def links_for(views: int, cells: int) -> Links:
     """Memory for the chains of so many views and cells."""
     return Links(
@@ -118,7 +118,7 @@ class Workspace(NamedTuple):
     coefficients: Float32Array
 
 
-@compiled
+@compiled_step
 def workspace_for(field: LightField, width: int, height: int, chosen: Int32Array) -> Workspace:
     """Memory for rendering some pixels of views of one size; cells that do not change are set.
 
