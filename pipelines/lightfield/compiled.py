@@ -7,17 +7,16 @@ into numbers takes as much code as many a kernel. What compiled functions call i
 
 import contextlib
 import functools
-import gc
 import hashlib
 import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-from numba import njit, types
-from numba.core import event
+from numba import njit
 from numba.core.caching import FunctionCache, IndexDataCacheFile
-from numba.extending import models, register_model
+
+from pipelines.lightfield.kernel_compiler import KernelCompiler, StepCompiler, StepType
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -33,7 +32,7 @@ def compiled(function: Function) -> Function:
     fuse multiplication and addition; infinities and NaN keep their meaning.
     """
     options = _options(EXACT, count_references=True, is_copied=False)
-    dispatcher: Any = njit(**options)(function)
+    dispatcher: Any = njit(pipeline_class=KernelCompiler, **options)(function)
     # Where no folder can be written to, functions are compiled anew in every process.
     with contextlib.suppress(RuntimeError):
         dispatcher._cache = _DependencyCache(function)
@@ -82,25 +81,13 @@ def _compiled_inside(
     function: Function, arithmetic: set[str], count_references: bool, is_copied: bool
 ) -> Function:
     options = _options(arithmetic, count_references, is_copied) | {"no_cpython_wrapper": True}
-    dispatcher: Any = njit(**options)(function)
+    dispatcher: Any = njit(pipeline_class=StepCompiler, **options)(function)
     # In compiled functions it stands for its machine code, which Python could not call.
     inside: Any = function
-    inside._numba_type_ = _InsideType(dispatcher)
+    inside._numba_type_ = StepType(dispatcher)
     # The type alone does not keep it.
     inside.dispatcher = dispatcher
     return function
-
-
-class _InsideType(types.Dispatcher):
-    """A compiled function that is compiled once for numbers of a type, constants or not."""
-
-    def get_call_type(self, context: Any, args: Any, kws: Any) -> Any:
-        """The signature of the version for some types, which is compiled where there is none."""
-        general: Any = types.unliteral
-        return super().get_call_type(context, tuple(general(own) for own in args), kws)
-
-
-register_model(_InsideType)(models.OpaqueModel)
 
 
 def _options(arithmetic: set[str], count_references: bool, is_copied: bool) -> dict[str, Any]:
@@ -114,34 +101,6 @@ def _options(arithmetic: set[str], count_references: bool, is_copied: bool) -> d
         # It is not called by C.
         "no_cfunc_wrapper": True,
     }
-
-
-class _CollectorPause(event.Listener):
-    """Stops Python's search for unused objects in cycles while functions are compiled.
-
-    Compiling makes so many objects that stay that a seventh of its time would be this search.
-    """
-
-    def __init__(self) -> None:
-        self._depth = 0
-        self._was_on = False
-
-    def on_start(self, event: event.Event) -> None:
-        """Compiling starts; within it, that of the functions that are called."""
-        if self._depth == 0:
-            self._was_on = gc.isenabled()
-            gc.disable()
-        self._depth += 1
-
-    def on_end(self, event: event.Event) -> None:
-        """Compiling ends, well or not."""
-        self._depth -= 1
-        if self._depth == 0 and self._was_on:
-            gc.enable()
-
-
-# Numba compiles in one thread at a time.
-event.register("numba:compile", _CollectorPause())  # type: ignore[no-untyped-call]
 
 
 class _DependencyCache(FunctionCache):

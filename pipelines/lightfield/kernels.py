@@ -4,8 +4,8 @@ Same steps and results as ``reference``: the surface (``proxy_kernels``), which 
 which weights (``blending_kernels``, ``net_kernels``), what they show (``cell_kernels``). Everything
 here is a function of its arguments and releases the interpreter lock.
 
-The compiler optimises every step again inside the next. So there are few steps, each blending rule
-and each kind of surface has an entry of its own, and nobody waits for what is not used.
+Each blending rule and each kind of surface has an entry of its own, so that nobody waits for the
+compiling of what is not used.
 """
 
 from typing import cast
