@@ -16,9 +16,6 @@ from pipelines.lightfield.net import (
 from pipelines.lightfield.net_cell_kernels import NetRoom, line_net, triangle_net
 from pipelines.lightfield.triangulation import GHOST
 
-# So many are sorted without memory of their own.
-FEW = 32
-
 
 @compiled_leaf
 def project_centre(
@@ -35,22 +32,15 @@ def project_centre(
     corner[1] = intrinsics[1] * y / z + intrinsics[3]
 
 
-@compiled_step
-def _sort_many(values: FloatArray, count: int, order: IntArray) -> None:
-    order[:count] = np.argsort(values[:count], kind="mergesort")
-
-
 @compiled_leaf
 def _sort(values: FloatArray, count: int, order: IntArray) -> None:
     """Writes the order of the first ``count`` values.
 
     Stable: views from one place, as a turning camera takes them, are no matter of chance.
     """
-    if count > FEW:
-        _sort_many(values, count, order)
-        return
     for number in range(count):
         place = number
+        # Cutting the net takes far longer than to put each in its place.
         while place > 0 and values[order[place - 1]] > values[number]:
             order[place] = order[place - 1]
             place -= 1
