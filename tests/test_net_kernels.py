@@ -16,12 +16,13 @@ from pipelines.geometry.camera import Intrinsics
 from pipelines.lightfield.compiled import compiled, source_stamp
 from pipelines.lightfield.net import pixel_weights
 from pipelines.lightfield.net_cell_kernels import net_room_for
-from pipelines.lightfield.net_kernels import build_net
+from pipelines.lightfield.net_kernels import _set_axes, build_net
 from pipelines.lightfield.triangulation import GHOST, delaunay, triangulation_for
 from tests.lightfield_samples import looking, pinhole, pixels_of
 
 # They are parts of a kernel; called from here they would not be compiled.
 compiled_delaunay, compiled_net = compiled(delaunay), compiled(build_net)
+compiled_axes = compiled(_set_axes)
 
 
 def triangulate(points: FloatArray) -> tuple[IntArray, IntArray]:
@@ -157,6 +158,24 @@ def test_a_few_triangulations_by_hand() -> None:
     triangles, hull = triangulate(np.array([*square, [2.0, 0.0]]))
     assert as_set(triangles) == {(0, 3, 4), (2, 3, 4), (1, 2, 4)}
     assert as_set(hull) == {(0, 4), (1, 4), (1, 2), (2, 3), (0, 3)}
+
+
+@settings(deadline=None, max_examples=60)
+@given(count=st.integers(1, 6), seed=st.integers(0, 100_000))
+def test_axes_of_centres_are_those_that_lapack_finds(count: int, seed: int) -> None:
+    generator = np.random.default_rng(seed)
+    offsets = generator.normal(size=(count, 3)) * 10.0 ** generator.uniform(-6.0, 6.0, 3)
+    scatter = offsets.T @ offsets
+    room = net_room_for(count)
+    room.scatter[:] = scatter
+    least = compiled_axes(room)
+    largest = np.abs(scatter).max()
+    spread = np.diag(room.spread)
+    assert least == spread.argmin()
+    np.testing.assert_allclose(np.sort(spread), np.linalg.eigvalsh(scatter), atol=1e-14 * largest)
+    back = room.axes @ np.diag(spread) @ room.axes.T
+    np.testing.assert_allclose(back, scatter, atol=1e-14 * largest)
+    np.testing.assert_allclose(room.axes.T @ room.axes, np.eye(3), atol=1e-14)
 
 
 def kernel_weights(

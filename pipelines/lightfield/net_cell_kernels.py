@@ -35,6 +35,8 @@ class NetRoom(NamedTuple):
         positions: ``(N,)`` of them along a line.
         direction: ``(2,)`` of that line.
         scatter: ``(3, 3)`` of the centres around the virtual one.
+        spread: ``(3, 3)`` the same along its own axes, and
+        axes: ``(3, 3)`` these, column by column.
         hull: ``(4 N + 8, 2)`` edges around the net.
         triangulation: of the corners.
     """
@@ -49,6 +51,8 @@ class NetRoom(NamedTuple):
     positions: FloatArray
     direction: FloatArray
     scatter: FloatArray
+    spread: FloatArray
+    axes: FloatArray
     hull: IntArray
     triangulation: Triangulation
 
@@ -66,6 +70,8 @@ def net_room_for(count: int) -> NetRoom:
         np.empty((count, 2)),
         np.empty(count),
         np.empty(2),
+        np.empty((3, 3)),
+        np.empty((3, 3)),
         np.empty((3, 3)),
         np.empty((4 * count + 8, 2), np.int64),
         triangulation_for(count),

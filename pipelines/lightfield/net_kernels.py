@@ -6,7 +6,7 @@ What its cells are says ``net_cell_kernels``.
 import numpy as np
 
 from pipelines.artifacts.array_types import BoolArray, FloatArray, IntArray
-from pipelines.lightfield.compiled import compiled_leaf, compiled_part, compiled_step
+from pipelines.lightfield.compiled import compiled_leaf, compiled_part
 from pipelines.lightfield.net import (
     COINCIDENT_PIXELS,
     COINCIDENT_SHARE,
@@ -15,6 +15,9 @@ from pipelines.lightfield.net import (
 )
 from pipelines.lightfield.net_cell_kernels import NetRoom, line_net, triangle_net
 from pipelines.lightfield.triangulation import GHOST
+
+# Rounds of Jacobi's method. Each squares what is left beside the diagonal: five leave nothing.
+SWEEPS = 6
 
 
 @compiled_leaf
@@ -92,27 +95,60 @@ def _set_scatter(count: int, room: NetRoom) -> bool:
     return bool(4.0 * determinant > FLATNESS_LIMIT * FLATNESS_LIMIT * trace**3)
 
 
-@compiled_step
-def _flat_direction(
-    scatter: FloatArray, rotation: FloatArray, intrinsics: FloatArray, direction: FloatArray
-) -> bool:
+@compiled_leaf
+def _set_axes(room: NetRoom) -> int:
+    """Writes the axes of the scatter matrix and the spread along them; the one with the least.
+
+    Jacobi's method: each turn about an axis takes away one of the numbers beside the diagonal.
+    """
+    spread, axes = room.spread, room.axes
+    for i in range(3):
+        for j in range(3):
+            spread[i, j], axes[i, j] = room.scatter[i, j], 1.0 if i == j else 0.0
+    for turn in range(3 * SWEEPS):
+        p, q = turn % 3, (turn + 1) % 3
+        if spread[p, q] == 0.0:
+            continue
+        ratio = 0.5 * (spread[q, q] - spread[p, p]) / spread[p, q]
+        tangent = 1.0 / (abs(ratio) + np.sqrt(ratio * ratio + 1.0))
+        tangent = tangent if ratio >= 0.0 else -tangent
+        cosine = 1.0 / np.sqrt(tangent * tangent + 1.0)
+        sine = tangent * cosine
+        for i in range(3):
+            a, b = spread[p, i], spread[q, i]
+            spread[p, i], spread[q, i] = cosine * a - sine * b, sine * a + cosine * b
+        for i in range(3):
+            a, b = spread[i, p], spread[i, q]
+            spread[i, p], spread[i, q] = cosine * a - sine * b, sine * a + cosine * b
+            a, b = axes[i, p], axes[i, q]
+            axes[i, p], axes[i, q] = cosine * a - sine * b, sine * a + cosine * b
+        spread[p, q], spread[q, p] = 0.0, 0.0
+    least = 0
+    for i in range(1, 3):
+        if spread[i, i] < spread[least, least]:
+            least = i
+    return least
+
+
+@compiled_leaf
+def _flat_direction(rotation: FloatArray, intrinsics: FloatArray, room: NetRoom) -> bool:
     """Whether centres are coplanar with the virtual one, by their scatter matrix around it.
 
     Writes the direction (2,) of the line on which they project, whatever the answer.
     """
-    values, vectors = np.linalg.eigh(scatter)
+    least, direction = _set_axes(room), room.direction
     normal_x, normal_y = 0.0, 0.0
     for i in range(3):
-        normal_x += rotation[i, 0] * vectors[i, 0]
-        normal_y += rotation[i, 1] * vectors[i, 0]
+        normal_x += rotation[i, 0] * room.axes[i, least]
+        normal_y += rotation[i, 1] * room.axes[i, least]
     along_x, along_y = -normal_y / intrinsics[1], normal_x / intrinsics[0]
     length = np.sqrt(along_x * along_x + along_y * along_y)
     if length * max(intrinsics[0], intrinsics[1]) < 1e-12:
         direction[0], direction[1] = 1.0, 0.0
     else:
         direction[0], direction[1] = along_x / length, along_y / length
-    total = values[0] + values[1] + values[2]
-    return bool(values[0] <= FLATNESS_LIMIT * FLATNESS_LIMIT * total)
+    total = room.spread[0, 0] + room.spread[1, 1] + room.spread[2, 2]
+    return bool(room.spread[least, least] <= FLATNESS_LIMIT * FLATNESS_LIMIT * total)
 
 
 @compiled_part
@@ -162,12 +198,12 @@ def build_net(
             room.points[number, i] = room.corners[room.kept[number], i]
     is_flat = not _set_scatter(kept, room)
     if is_flat:
-        is_flat = _flat_direction(room.scatter, pose, intrinsics, room.direction) or kept < 3
+        is_flat = _flat_direction(pose, intrinsics, room) or kept < 3
     cells = 0
     if not is_flat:
         cells = triangle_net(kept, room, cell_views, cell_weights, label)
         if cells == 0:
-            _flat_direction(room.scatter, pose, intrinsics, room.direction)
+            _flat_direction(pose, intrinsics, room)
     if cells == 0:
         _set_positions(kept, room)
         _sort(room.positions, kept, room.order)
