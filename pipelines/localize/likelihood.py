@@ -60,7 +60,7 @@ class Likelihood:
 # The squared difference's sharpness, by which other costs' peaks are taken to be as wide.
 SQUARED_SHARPNESS = 800.0
 # Of particles around the truth, log-likelihoods by a fifth of 40x30 pixels differ from those by all
-# by 0.3 (standard deviation), and among each other by 4 to 5: docs/performance.md.
+# by 0.4 (standard deviation), and among each other by 4 to 5: docs/performance.md.
 ONE_PIXEL_IN = 5
 
 

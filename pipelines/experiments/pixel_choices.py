@@ -1,0 +1,153 @@
+"""Which pixels are enough to weigh particles? Costs by some of them against costs by all.
+
+Views are rendered at states around the truth, whole, and compared with the camera image by the
+filter's default cost; pixels that are left out get no weight, others that of their chance to be
+taken. What counts is how far costs are off from each other: what all have in common changes no
+weight.
+"""
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+import numpy as np
+
+from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray
+from pipelines.artifacts.errors import InputError
+from pipelines.dataset.dataset import CAMERA_FILE, GROUNDTRUTH_FILE, Dataset
+from pipelines.lightfield.comparison import compare, prepared
+from pipelines.lightfield.renderer import Renderer
+from pipelines.lightfield.scene import Scene
+from pipelines.localize.likelihood import LIKELIHOODS
+from pipelines.localize.localizer import VIEW_RESOLUTION_FACTOR
+from pipelines.localize.observation import Observer
+from pipelines.localize.state_space import PLANAR
+
+WIDTH = 40
+# Metres and radians; standard deviations of the states around the truth.
+SPREAD = np.array([0.06, 0.06, 0.03])
+STATES, TURNS = 60, 5
+LARGEST_TIME_GAP = 0.1
+
+# From grey levels (H, W), the turn, and random numbers to the weights (H, W) of the pixels.
+Choice = Callable[[FloatArray, int, np.random.Generator], FloatArray]
+
+
+def lattice(step: int, shift: int) -> Choice:
+    """One pixel in ``step`` of each row, ``shift`` further to the left in each."""
+
+    def choose(grey: FloatArray, turn: int, _rng: np.random.Generator) -> FloatArray:
+        rows, columns = np.indices(grey.shape)
+        return np.asarray((columns + shift * rows + turn) % step == 0, dtype=np.float64)
+
+    return choose
+
+
+def every_other(grey: FloatArray, turn: int, _rng: np.random.Generator) -> FloatArray:
+    """Every other column and row."""
+    weights = np.zeros(grey.shape)
+    weights[turn // 2 % 2 :: 2, turn % 2 :: 2] = 1.0
+    return weights
+
+
+def by_gradient(share: float, floor: float) -> Choice:
+    """A share of the pixels by chance, in proportion to the gradient plus a floor (grey levels).
+
+    Systematic sampling with unequal chances (Madow 1949), the pixels in random order; a pixel's
+    weight is one over its chance.
+    """
+
+    def choose(grey: FloatArray, _turn: int, rng: np.random.Generator) -> FloatArray:
+        along_y, along_x = np.gradient(grey)
+        wanted = share * grey.size
+        chance = np.hypot(along_x, along_y).ravel() + floor
+        chance *= wanted / chance.sum()
+        # None is taken more than once; what that leaves over goes to the others.
+        while chance.max() > 1.0 + 1e-9:
+            is_sure = chance >= 1.0
+            chance[is_sure] = 1.0
+            chance[~is_sure] *= (wanted - is_sure.sum()) / chance[~is_sure].sum()
+        order = rng.permutation(grey.size)
+        ends = np.floor(np.cumsum(chance[order]) - rng.random())
+        is_taken = np.zeros(grey.size, dtype=bool)
+        is_taken[order] = np.diff(ends, prepend=-1.0) > 0.0
+        return np.where(is_taken, 1.0 / chance, 0.0).reshape(grey.shape)
+
+    return choose
+
+
+CHOICES: Mapping[str, Choice] = MappingProxyType(
+    {
+        "one in 2, (x + y) mod 2": lattice(2, 1),
+        "one in 3, (x + y) mod 3": lattice(3, 1),
+        "one in 5, (x + 2y) mod 5": lattice(5, 2),
+        "one in 10, (x + 3y) mod 10": lattice(10, 3),
+        "one in 4, every other column and row": every_other,
+        "one in 4, by chance": by_gradient(0.25, 1e9),
+        "one in 4, by chance, gradient + 20": by_gradient(0.25, 20.0),
+        "one in 4, by chance, gradient + 2": by_gradient(0.25, 2.0),
+    }
+)
+
+
+def errors_of_choices(
+    scene: Scene, dataset: Dataset, rng: np.random.Generator, every_frame: int = 3
+) -> tuple[dict[str, float], float]:
+    """How far log-likelihoods by some of the pixels are off from those by all.
+
+    Args:
+        scene: the light field.
+        dataset: a drive of a robot on a floor through it, with ground truth.
+        rng: for states around the truth, and choices by chance.
+        every_frame: of so many frames one is looked at.
+
+    Returns:
+        Standard deviations among states of the same image, root mean square over images and turns:
+        of the errors, by choice; and of the log-likelihoods themselves.
+
+    Raises:
+        InputError: no camera, or no ground truth at any image.
+    """
+    if dataset.camera is None:
+        raise InputError(dataset.root / CAMERA_FILE, "is missing")
+    if dataset.groundtruth is None:
+        raise InputError(dataset.root / GROUNDTRUTH_FILE, "is missing")
+    likelihood = LIKELIHOODS["robust"]
+    renderer = Renderer.of_scene(scene, VIEW_RESOLUTION_FACTOR * WIDTH)
+    observer = Observer(dataset.camera, [WIDTH])
+    nearest = dataset.groundtruth.nearest(dataset.timestamps, LARGEST_TIME_GAP)
+    squares: dict[str, list[float]] = {name: [] for name in CHOICES}
+    spreads = []
+    for frame in range(0, len(dataset), every_frame):
+        observation = observer(dataset.read_image(frame)).by_width[WIDTH]
+        if nearest[frame] < 0:
+            continue
+        truth = PLANAR.states(dataset.groundtruth.poses[[nearest[frame]]])
+        noise = SPREAD * rng.standard_normal((STATES, 3))
+        poses = PLANAR.poses(PLANAR.moved(np.repeat(truth, STATES, axis=0), noise))
+        images, covered = renderer.render_many(
+            poses @ dataset.body_from_camera, observation.intrinsics
+        )
+        query = prepared(observation.image)
+        grey = query[..., :3].mean(axis=2, dtype=np.float64)
+        whole = likelihood.sharpness * _costs(images, covered, query, np.ones(grey.shape))
+        spreads.append(float(np.var(whole)))
+        for name, choose in CHOICES.items():
+            for turn in range(TURNS):
+                part = _costs(images, covered, query, choose(grey, turn, rng))
+                squares[name].append(float(np.var(likelihood.sharpness * part - whole)))
+    if not spreads:
+        raise InputError(dataset.root / GROUNDTRUTH_FILE, "has no pose at any image")
+    errors = {name: float(np.sqrt(np.mean(values))) for name, values in squares.items()}
+    return errors, float(np.sqrt(np.mean(spreads)))
+
+
+def _costs(
+    images: Float32Array, covered: BoolArray, query: Float32Array, weights: FloatArray
+) -> FloatArray:
+    """The default costs ``(M,)`` of views with these weights of their pixels."""
+    likelihood = LIKELIHOODS["robust"]
+    weighted = query.copy()
+    weighted[..., 3] *= weights
+    views = np.concatenate([images, covered[..., None].astype(np.float32)], axis=3)
+    costs = [compare(int(likelihood.cost), view, weighted, likelihood.fit_gain) for view in views]
+    return np.array(costs)
