@@ -4,6 +4,11 @@ The work is the same for all (``work``): three photos are mapped over the scene'
 virtual image, blended with a weight for each pixel, and compared with a camera image by the sum of
 squared colour differences. All run on one thread, in turns. The limit is what the reads and
 multiplications alone take.
+
+The filter weighs particles by one pixel in five of a lattice (``localize.observation``), and so
+does the fused path here. Beside it stand the same with all pixels, as all others do it, and OpenCV
+with a quarter of the pixels: every other column and row, the nearest to a fifth that a homography
+gives.
 """
 
 import time
@@ -11,35 +16,42 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from benchmarks.limit import SAMPLES_PER_PIXEL, limit_image, limit_work
 from benchmarks.opencv_path import opencv_costs, opencv_work
 from benchmarks.timing import Timing, markdown_table, median_times
 from benchmarks.torch_path import is_installed, torch_costs, torch_work
-from benchmarks.work import Work, work_of
+from benchmarks.work import Work, every_other, work_of
 from pipelines.artifacts.array_types import FloatArray
 from pipelines.lightfield.blending import Blending
 from pipelines.lightfield.comparison import Cost
 from pipelines.lightfield.reference import render_reference
 from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.scene import Scene
+from pipelines.localize.likelihood import ONE_PIXEL_IN
+from pipelines.localize.observation import Observation
 
 # Width and height of the virtual images -> particles; fewer where each takes longer.
 PARTICLES = {(40, 30): 195, (80, 60): 195, (160, 120): 64}
 TURNS = 7
 REFERENCE_PARTICLES = 3
 OPENCV = {3: "OpenCV, RGB", 4: "OpenCV, RGB and a fourth channel"}
+OPENCV_QUARTER = "OpenCV, RGB and a fourth channel, one pixel in 4"
 TORCH = "PyTorch grid_sample"
 LIMIT = "the limit: reads and multiplications"
 
 
-def fused(blending: Blending, views: int = 3) -> str:
+def fused(blending: Blending, views: int = 3, one_in: int = ONE_PIXEL_IN) -> str:
     """How the tables call the fused path."""
-    return f"lfnav, {blending.name.lower()}, {views} views"
+    pixels = "all pixels" if one_in == 1 else f"one pixel in {one_in}"
+    return f"lfnav, {blending.name.lower()}, {views} views, {pixels}"
 
 
-def fused_costs(renderer: Renderer, work: Work) -> FloatArray:
-    """The work done by the path that the filter uses."""
-    return renderer.costs(work.poses, work.intrinsics, work.query, Cost.SQUARED, False)
+def fused_costs(renderer: Renderer, work: Work, one_in: int = 1) -> FloatArray:
+    """The work done by the path that the filter uses, for one in so many pixels."""
+    image = Observation(work.query.astype(np.float32), work.intrinsics).thinned(one_in)
+    return renderer.costs(work.poses, work.intrinsics, image, Cost.SQUARED, False)
 
 
 def measure_size(scene: Scene, width: int, height: int, particles: int) -> dict[str, Timing]:
@@ -49,9 +61,12 @@ def measure_size(scene: Scene, width: int, height: int, particles: int) -> dict[
     for views in (work.scene, scene):
         for blending in Blending:
             renderer = Renderer.of_scene(views, 2 * width, blending, threads=1)
-            tasks[fused(blending, len(views))] = partial(fused_costs, renderer, work)
+            for one_in in (1, ONE_PIXEL_IN):
+                name = fused(blending, len(views), one_in)
+                tasks[name] = partial(fused_costs, renderer, work, one_in)
     for channels, name in OPENCV.items():
         tasks[name] = partial(opencv_costs, opencv_work(work, channels))
+    tasks[OPENCV_QUARTER] = partial(opencv_costs, opencv_work(every_other(work), 4))
     if is_installed():
         tasks[TORCH] = partial(torch_costs, torch_work(work))
     tasks[LIMIT] = partial(limit_image, limit_work(work), particles)
@@ -81,15 +96,15 @@ def fastest_opencv(row: dict[str, float]) -> float:
     return min(row[name] for name in OPENCV.values())
 
 
-def ratios(microseconds: Microseconds, blending: Blending) -> dict[str, float]:
+def ratios(microseconds: Microseconds, blending: Blending, one_in: int) -> dict[str, float]:
     """OpenCV's CPU time divided by the fused path's, three views; above 1 that is the faster."""
-    name = fused(blending)
+    name = fused(blending, one_in=one_in)
     return {size: round(fastest_opencv(row) / row[name], 3) for size, row in microseconds.items()}
 
 
 def times_limit(microseconds: Microseconds, blending: Blending) -> dict[str, float]:
-    """The fused path's CPU time divided by the limit's, three views."""
-    name = fused(blending)
+    """The fused path's CPU time divided by the limit's, three views, all pixels."""
+    name = fused(blending, one_in=1)
     return {size: round(row[name] / row[LIMIT], 3) for size, row in microseconds.items()}
 
 
@@ -130,8 +145,14 @@ def measure(scene: Scene) -> dict[str, Any]:
     cpu = {s: {n: round(1e6 * t.cpu, 2) for n, t in row.items()} for s, row in times.items()}
     wall = {s: {n: round(1e6 * t.wall, 2) for n, t in row.items()} for s, row in times.items()}
     return {
-        "ratio_to_opencv": ratios(cpu, Blending.DELAUNAY),
-        "ratio_to_opencv_unstructured": ratios(cpu, Blending.UNSTRUCTURED),
+        "ratio_to_opencv": ratios(cpu, Blending.DELAUNAY, ONE_PIXEL_IN),
+        "ratio_to_opencv_unstructured": ratios(cpu, Blending.UNSTRUCTURED, ONE_PIXEL_IN),
+        "ratio_to_opencv_all_pixels": ratios(cpu, Blending.DELAUNAY, 1),
+        "ratio_to_opencv_all_pixels_unstructured": ratios(cpu, Blending.UNSTRUCTURED, 1),
+        "ratio_to_opencv_of_a_quarter": {
+            size: round(row[OPENCV_QUARTER] / row[fused(Blending.DELAUNAY)], 3)
+            for size, row in cpu.items()
+        },
         "times_limit": times_limit(cpu, Blending.DELAUNAY),
         "times_limit_unstructured": times_limit(cpu, Blending.UNSTRUCTURED),
         "limit_nanoseconds_per_sample": nanoseconds_per_sample(cpu),

@@ -2,10 +2,12 @@
 
 Particles stand around the robot's true place in a frame of the lobby's test drive, as they do while
 it is tracked, and are scored as the filter does by default: limited absolute differences with a
-fitted brightness factor, photos four times as fine as the comparison.
+fitted brightness factor, one pixel in five, photos four times as fine as the comparison. Beside
+that stands what all pixels cost.
 """
 
 import os
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -18,7 +20,7 @@ from pipelines.dataset.dataset import load_dataset
 from pipelines.lightfield.proxy import Quality
 from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.scene import Scene
-from pipelines.localize.likelihood import LIKELIHOODS, Comparison
+from pipelines.localize.likelihood import LIKELIHOODS, ONE_PIXEL_IN, Comparison
 from pipelines.localize.localizer import VIEW_RESOLUTION_FACTOR
 from pipelines.localize.observation import Observation, Observer
 from pipelines.localize.state_space import PLANAR
@@ -32,6 +34,7 @@ VIEWS = (28, 200, 1000)
 GROWTH = (195, 1_000, 10_000, 100_000)
 # Many particles are a median of their own.
 TURNS, TURNS_OF_MANY, TURNS_OF_GROWTH = 7, 1, 3
+ALL_PIXELS = ", all pixels"
 GEOMETRIES = {"plane": Quality.PLANE, "depth": Quality.MEDIUM}
 
 
@@ -55,14 +58,19 @@ def observations() -> dict[int, Observation]:
 
 
 def comparison_of(
-    scene: Scene, width: int, threads: int | None, quality: Quality = Quality.PLANE
+    scene: Scene,
+    width: int,
+    threads: int | None,
+    quality: Quality = Quality.PLANE,
+    one_in: int = ONE_PIXEL_IN,
 ) -> Comparison:
     """What the filter scores particles with, for comparisons of some width."""
+    likelihood = replace(LIKELIHOODS["robust"], one_pixel_in=one_in)
     renderer = Renderer.of_scene(
         scene, VIEW_RESOLUTION_FACTOR * width, quality=quality, threads=threads
     )
     mount = load_dataset(ELEVATORS / "test").body_from_camera
-    return Comparison(renderer, PLANAR, mount, LIKELIHOODS["robust"])
+    return Comparison(renderer, PLANAR, mount, likelihood)
 
 
 def by_size(scene: Scene) -> dict[str, dict[str, Timing]]:
@@ -78,9 +86,13 @@ def by_size(scene: Scene) -> dict[str, dict[str, Timing]]:
             tasks = {}
             for geometry, quality in GEOMETRIES.items():
                 for threads in sorted({1, processors}):
-                    name = f"{geometry}, {count} particles, {_threads(threads)}"
+                    name = _row(geometry, count, threads)
                     comparison = comparison_of(scenes[geometry], width, threads, quality)
                     tasks[name] = partial(comparison.log_likelihoods, states, images[width])
+                if count == PARTICLES:
+                    whole = comparison_of(scenes[geometry], width, 1, quality, one_in=1)
+                    name = _row(geometry, count, 1, ALL_PIXELS)
+                    tasks[name] = partial(whole.log_likelihoods, states, images[width])
             # Few particles have loaded everything before many come.
             rehearsals = int(count == PARTICLES)
             for name, timing in median_times(tasks, turns, rehearsals).items():
@@ -88,41 +100,51 @@ def by_size(scene: Scene) -> dict[str, dict[str, Timing]]:
     return result
 
 
-def by_views(scene: Scene) -> dict[str, Timing]:
+def by_views(scene: Scene, one_in: int) -> dict[str, Timing]:
     """Time a particle with more and more views of the same place, on one thread."""
     image = observations()[WIDTHS[0]]
     states = states_around(PARTICLES)
     tasks = {}
     for count in VIEWS:
         many = scene if count == len(scene) else repeated(scene, count)
-        comparison = comparison_of(many, WIDTHS[0], threads=1)
+        comparison = comparison_of(many, WIDTHS[0], threads=1, one_in=one_in)
         tasks[str(count)] = partial(comparison.log_likelihoods, states, image)
     return {name: value.of_each(PARTICLES) for name, value in median_times(tasks, TURNS).items()}
 
 
 def by_particles(scene: Scene) -> dict[str, Timing]:
-    """Time a particle for more and more particles, on all processors."""
+    """Time a particle for more and more particles, on all processors.
+
+    Few of them are scored again and again, until ``MANY_PARTICLES`` are done: else the first would
+    find what the processor has read last pushed out of its caches by the many.
+    """
     image, comparison = observations()[WIDTHS[0]], comparison_of(scene, WIDTHS[0], threads=None)
-    tasks = {
-        str(count): partial(comparison.log_likelihoods, states_around(count), image)
-        for count in GROWTH
-    }
+
+    def score(states: FloatArray, calls: int) -> None:
+        for _ in range(calls):
+            comparison.log_likelihoods(states, image)
+
+    calls = {count: max(1, MANY_PARTICLES // count) for count in GROWTH}
+    tasks = {str(count): partial(score, states_around(count), calls[count]) for count in GROWTH}
     times = median_times(tasks, TURNS_OF_GROWTH, rehearsals=0)
-    return {name: value.of_each(int(name)) for name, value in times.items()}
+    return {str(count): times[str(count)].of_each(count * calls[count]) for count in GROWTH}
 
 
 def measure(scene: Scene) -> dict[str, Any]:
     """All of it; plain JSON types, microseconds a particle."""
-    sizes, views, particles = by_size(scene), by_views(scene), by_particles(scene)
-    plane, depth = (sizes[f"{name}, {PARTICLES} particles, {_threads(1)}"] for name in GEOMETRIES)
+    sizes, particles = by_size(scene), by_particles(scene)
+    views, views_whole = by_views(scene, ONE_PIXEL_IN), by_views(scene, 1)
     return {
-        "depth_to_plane": {size: round(depth[size].cpu / plane[size].cpu, 3) for size in plane},
+        "depth_to_plane": _depth_to_plane(sizes, ""),
+        "depth_to_plane_all_pixels": _depth_to_plane(sizes, ALL_PIXELS),
         "views_growth": _relative(views),
+        "views_growth_all_pixels": _relative(views_whole),
         "particles_growth": _relative(particles),
         "scoring": {
             "turns": {PARTICLES: TURNS, MANY_PARTICLES: TURNS_OF_MANY},
             "by_size": {name: _microseconds(row) for name, row in sizes.items()},
             "by_views": _microseconds(views),
+            "by_views_all_pixels": _microseconds(views_whole),
             "by_particles": _microseconds(particles),
         },
     }
@@ -138,6 +160,7 @@ def tables(results: dict[str, Any]) -> str:
     by_size_table = markdown_table(("a particle", *(f"{size} (µs)" for size in sizes)), rows)
     growths = (
         ("by_views", "views", "views_growth"),
+        ("by_views_all_pixels", "views, all pixels", "views_growth_all_pixels"),
         ("by_particles", "particles", "particles_growth"),
     )
     parts = [by_size_table]
@@ -147,6 +170,16 @@ def tables(results: dict[str, Any]) -> str:
         ]
         parts.append(markdown_table((title, "a particle (µs)", "to the first"), rows))
     return "\n\n".join(parts)
+
+
+def _row(geometry: str, count: int, threads: int, pixels: str = "") -> str:
+    """How the table calls a line."""
+    return f"{geometry}, {count} particles, {_threads(threads)}{pixels}"
+
+
+def _depth_to_plane(sizes: dict[str, dict[str, Timing]], pixels: str) -> dict[str, float]:
+    plane, depth = (sizes[_row(name, PARTICLES, 1, pixels)] for name in GEOMETRIES)
+    return {size: round(depth[size].cpu / plane[size].cpu, 3) for size in plane}
 
 
 def _threads(count: int) -> str:

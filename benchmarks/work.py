@@ -71,6 +71,16 @@ def work_of(scene: Scene, width: int, height: int, count: int) -> Work:
     return Work(renderer.views, corners, poses, middle, query)
 
 
+def every_other(work: Work) -> Work:
+    """The same for every other column and row, as a camera of its own."""
+    camera = work.intrinsics
+    query = np.ascontiguousarray(work.query[::2, ::2])
+    quarter = Intrinsics(
+        query.shape[1], query.shape[0], camera.fx / 2, camera.fy / 2, camera.cx / 2, camera.cy / 2
+    )
+    return replace(work, intrinsics=quarter, query=query)
+
+
 def homographies(work: Work, pose: FloatArray) -> FloatArray:
     """``(3, 3, 3)``: from virtual pixels over the plane to pixels of each photo.
 

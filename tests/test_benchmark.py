@@ -27,7 +27,7 @@ from benchmarks.opencv_path import opencv_costs, opencv_image, opencv_work
 from benchmarks.scenes import ROOT, repeated, with_wall_as_depth, workshop_scene
 from benchmarks.timing import Timing, machine, median_times, timing_table
 from benchmarks.torch_path import is_installed, torch_costs, torch_work
-from benchmarks.work import Work, net_weights, work_of
+from benchmarks.work import Work, every_other, net_weights, work_of
 from pipelines.dataset.dataset import load_dataset
 from pipelines.geometry.plane import plane_from_coefficients
 from pipelines.lightfield.blending import Blending
@@ -92,6 +92,15 @@ def test_the_limit_computes_the_same_image(work: Work) -> None:
         np.testing.assert_allclose(image[..., 3], 255.0, atol=0.01)
 
 
+def test_a_fifth_and_a_quarter_of_the_pixels_say_the_same(work: Work) -> None:
+    """What is compared with each other is about the same work."""
+    renderer = renderer_of(work, Blending.DELAUNAY)
+    whole, fifth = fused_costs(renderer, work), fused_costs(renderer, work, 5)
+    quarter = opencv_costs(opencv_work(every_other(work), 4))
+    assert np.all(np.abs(fifth[1:] / whole[1:] - 1.0) < 0.15)
+    assert np.all(np.abs(quarter[1:] / whole[1:] - 1.0) < 0.15)
+
+
 def test_three_views_are_blended_at_every_pixel(work: Work) -> None:
     for pose in work.poses:
         weights = net_weights(work, pose)
@@ -102,11 +111,11 @@ def test_three_views_are_blended_at_every_pixel(work: Work) -> None:
 
 
 def test_the_table_shows_times_ratios_and_limits() -> None:
-    delaunay, unstructured = fused(Blending.DELAUNAY), fused(Blending.UNSTRUCTURED)
+    delaunay, unstructured = (fused(blending, one_in=1) for blending in Blending)
     row = {delaunay: 100.0, unstructured: 400.0, OPENCV[3]: 300.0, OPENCV[4]: 200.0, LIMIT: 50.0}
     figures = {"40x30": row, "80x60": {name: 4.0 * value for name, value in row.items()}}
-    assert ratios(figures, Blending.DELAUNAY) == {"40x30": 2.0, "80x60": 2.0}
-    assert ratios(figures, Blending.UNSTRUCTURED) == {"40x30": 0.5, "80x60": 0.5}
+    assert ratios(figures, Blending.DELAUNAY, 1) == {"40x30": 2.0, "80x60": 2.0}
+    assert ratios(figures, Blending.UNSTRUCTURED, 1) == {"40x30": 0.5, "80x60": 0.5}
     assert times_limit(figures, Blending.DELAUNAY) == {"40x30": 2.0, "80x60": 2.0}
     assert times_limit(figures, Blending.UNSTRUCTURED) == {"40x30": 8.0, "80x60": 8.0}
     # 50 microseconds for three samples at each of 1200 pixels.
@@ -140,16 +149,19 @@ def test_the_tables_of_particles_show_what_was_measured() -> None:
     cell = {"cpu": 20.0, "wall": 10.0}
     results = {
         "views_growth": {"28": 1.0},
+        "views_growth_all_pixels": {"28": 1.5},
         "particles_growth": {"195": 1.0},
         "scoring": {
             "by_size": {"plane": {"40x30": cell}},
             "by_views": {"28": cell},
+            "by_views_all_pixels": {"28": cell},
             "by_particles": {"195": cell},
         },
     }
     lines = scoring.tables(results).splitlines()
     assert "| plane | 20.0 (10.0) |" in lines
     assert "| 28 | 20.0 (10.0) | 1.00 |" in lines
+    assert "| 28 | 20.0 (10.0) | 1.50 |" in lines
     assert "| 195 | 20.0 (10.0) | 1.00 |" in lines
 
 
@@ -161,7 +173,8 @@ def test_the_drive_of_one_image_ends_with_it(tmp_path: Path) -> None:
 def test_results_hold_what_they_promise() -> None:
     """The file in the repository is what this code writes."""
     results = json.loads((ROOT / "benchmarks" / "results.json").read_text(encoding="utf-8"))
-    for key in ("ratio_to_opencv", "ratio_to_opencv_unstructured", "times_limit"):
+    compared = [f"ratio_to_opencv{rest}" for rest in ("", "_unstructured", "_all_pixels")]
+    for key in (*compared, "ratio_to_opencv_of_a_quarter", "times_limit", "depth_to_plane"):
         assert set(results[key]) == {"40x30", "80x60", "160x120"}
         assert all(value > 0.0 for value in results[key].values())
     assert set(results["frames_per_second"]) == {"tracking", "tracking_refined"}

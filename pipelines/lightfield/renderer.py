@@ -2,7 +2,7 @@
 
 import logging
 import os
-from collections.abc import Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -205,7 +205,7 @@ class Renderer:
             images[part], covered[part] = drawn[..., :3], drawn[..., 3] > 0.0
 
         together = max(1, PIXELS_TOGETHER // (intrinsics.width * intrinsics.height))
-        list(self._pool.map(draw, self._parts(len(poses), together)))
+        self._run(draw, len(poses), together)
         return images, covered
 
     def costs(
@@ -248,7 +248,7 @@ class Renderer:
 
         pixels = intrinsics.width * intrinsics.height
         together = max(1, min(POSES_TOGETHER, SURFACE_PIXELS_TOGETHER // pixels))
-        list(self._pool.map(score, self._parts(len(poses), together)))
+        self._run(score, len(poses), together)
         return costs
 
     def _draw(
@@ -294,10 +294,13 @@ class Renderer:
         render(self._field, poses, vector, surfaces, chosen, query, kind, fit_gain, images, costs)
         return surfaces
 
-    def _parts(self, count: int, most: int) -> Iterator[slice]:
-        """Poses that are worked on in one call: at most so many, and some for every thread."""
+    def _run(self, work: Callable[[slice], None], count: int, most: int) -> None:
+        """Does work on all of so many poses: at most so many in one call, some for every thread."""
         together = min(most, max(1, -(-count // self.threads)))
-        return (slice(start, start + together) for start in range(0, count, together))
+        parts = [slice(start, start + together) for start in range(0, count, together)]
+        # Handing one part to another thread would take as long as some particles.
+        run = self._pool.map if len(parts) > 1 else map
+        list(run(work, parts))
 
 
 def every_pixel(intrinsics: Intrinsics) -> Int32Array:
