@@ -107,30 +107,25 @@ def _show_substitutes(
     field: LightField,
     pose: FloatArray,
     intrinsics: FloatArray,
-    empty: int,
+    cells: int,
     width: int,
     surface: Float32Array,
     space: Workspace,
     image: Float32Array,
 ) -> None:
-    """Renders the pixels that none of their cell's views shows; each is a cell.
+    """Renders pixels that none of their cell's views shows, by their substitutes; each is a cell.
 
     Args:
         field: the light field.
         pose: (4, 4) world_from_camera.
         intrinsics: (4,) fx, fy, cx, cy.
-        empty: how many pixels these are.
+        cells: how many pixels these are.
         width: of the virtual image.
         surface: (H W,) inverse depths.
         space: changed.
         image: (P, 4) changed.
     """
-    found, cell_views = np.empty(empty, np.int32), np.empty((empty, 1), np.int64)
-    cells = find_substitutes(
-        field, pose, intrinsics, surface, width, image, space, found, cell_views
-    )
-    if cells == 0:
-        return
+    found, cell_views = space.substitutes.pixels, space.substitutes.views
     cell_weights, cell_origins = np.zeros((cells, 1, 4)), np.zeros((cells, 2))
     order = pixel_order_for(space.order.chosen[found[:cells]], width, cells)
     for i in range(cells):
@@ -208,7 +203,9 @@ def render_tiles(
         colours = pixels.reshape(-1)
         empty = _show_cells(field, pose, intrinsics, cells, surface, space, pixels, colours)
         if empty > 0:
-            _show_substitutes(field, pose, intrinsics, empty, width, surface, space, pixels)
+            cells = find_substitutes(field, pose, intrinsics, surface, width, pixels, space)
+            if cells > 0:
+                _show_substitutes(field, pose, intrinsics, cells, width, surface, space, pixels)
         if kind != NO_COMPARISON:
             costs[index] = compare(kind, image, query, fit_gain)
 
@@ -239,6 +236,8 @@ def render_nets(
         colours = pixels.reshape(-1)
         empty = _show_cells(field, pose, intrinsics, cells, surface, space, pixels, colours)
         if cells > 0 and empty > 0:
-            _show_substitutes(field, pose, intrinsics, empty, width, surface, space, pixels)
+            cells = find_substitutes(field, pose, intrinsics, surface, width, pixels, space)
+            if cells > 0:
+                _show_substitutes(field, pose, intrinsics, cells, width, surface, space, pixels)
         if kind != NO_COMPARISON:
             costs[index] = compare(kind, image, query, fit_gain)

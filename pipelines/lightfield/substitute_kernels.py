@@ -8,8 +8,8 @@ view, everything between them is.
 
 import numpy as np
 
-from pipelines.artifacts.array_types import Float32Array, FloatArray, Int32Array, IntArray
-from pipelines.lightfield.compiled import compiled_leaf, compiled_step
+from pipelines.artifacts.array_types import Float32Array, FloatArray, IntArray
+from pipelines.lightfield.compiled import compiled_leaf, compiled_part
 from pipelines.lightfield.mapping_kernels import is_inside, locate, view_mapping
 from pipelines.lightfield.net_kernels import project_centre
 from pipelines.lightfield.pixel_order_kernels import PixelOrder
@@ -62,7 +62,7 @@ def _set_box(
     return found
 
 
-@compiled_step
+@compiled_part
 def find_substitutes(
     field: LightField,
     pose: FloatArray,
@@ -71,8 +71,6 @@ def find_substitutes(
     width: int,
     image: Float32Array,
     space: Workspace,
-    pixels: Int32Array,
-    chosen: IntArray,
 ) -> int:
     """Finds for each uncovered pixel the view with the nearest projected centre that shows it.
 
@@ -83,17 +81,17 @@ def find_substitutes(
         surface: (H W,) inverse depths; 0: there is no surface.
         width: of the virtual image.
         image: (P, 4) where the last number is 0, the pixel is not covered.
-        space: maps and shifts are changed.
-        pixels: int32, as many as are uncovered; receives those of the P that a view shows, and
-        chosen: (., 1) the views.
+        space: its substitutes receive those of the P pixels that a view shows, and the views; maps
+            and shifts are changed.
 
     Returns:
         How many these are.
     """
     views, order = field.views, space.order
     count, pixel_count = len(views.centres), len(order.chosen)
-    everywhere, here = np.empty(count, np.int64), np.empty(count, np.int64)
-    box = np.empty(6)
+    pixels, chosen = space.substitutes.pixels, space.substitutes.views
+    everywhere, here = space.substitutes.everywhere, space.substitutes.here
+    box = space.substitutes.box
     if not _set_box(image, surface, order, 0, pixel_count, box):
         return 0
     candidates = 0
@@ -130,7 +128,7 @@ def find_substitutes(
     return found
 
 
-@compiled_step
+@compiled_leaf
 def _nearest(
     field: LightField,
     pose: FloatArray,
@@ -150,7 +148,7 @@ def _nearest(
     x, y, inverse_depth = pixel % width, pixel // width, np.float64(surface[pixel])
     best, shortest = -1, np.inf
     best_hidden, shortest_hidden = -1, np.inf
-    offset, corner = np.empty(3), np.empty(2)
+    offset, corner = space.substitutes.offset, space.substitutes.corner
     for number in range(count):
         view = candidates[number]
         u, v, depth = locate(x, y, inverse_depth, view, space.maps, space.shifts)

@@ -74,6 +74,42 @@ def links_for(views: int, cells: int) -> Links:
     )
 
 
+class Substitutes(NamedTuple):
+    """Pixels that none of their cell's views show, and the views that do instead.
+
+    Attributes:
+        pixels: ``(P,)`` int32 which of those that are rendered, and
+        views: ``(P, 1)`` the view of each.
+        everywhere: ``(N,)`` views that may show any, and
+        here: ``(N,)`` any of a row.
+        box: ``(6,)`` around pixels: columns, rows, inverse depths, two of each.
+        offset: ``(3,)`` of a centre from the virtual one, and
+        corner: ``(2,)`` where it projects to.
+    """
+
+    pixels: Int32Array
+    views: IntArray
+    everywhere: IntArray
+    here: IntArray
+    box: FloatArray
+    offset: FloatArray
+    corner: FloatArray
+
+
+@compiled_step
+def substitutes_for(pixels: int, views: int) -> Substitutes:
+    """Memory for the substitutes of so many pixels, by so many views."""
+    return Substitutes(
+        np.empty(pixels, np.int32),
+        np.empty((pixels, 1), np.int64),
+        np.empty(views, np.int64),
+        np.empty(views, np.int64),
+        np.empty(6),
+        np.empty(3),
+        np.empty(2),
+    )
+
+
 class Workspace(NamedTuple):
     """What rendering one view writes on its way; made once for many views of one size.
 
@@ -91,6 +127,7 @@ class Workspace(NamedTuple):
         labels: ``(H, W)`` each pixel's cell.
         order: the pixels that are rendered, by cell.
         links: chains of cells.
+        substitutes: of pixels that their cells leave empty.
         scratch: of a chunk, see ``sampling_kernels``.
         targets: ``(CHUNK,)`` int32, and
         offsets: likewise, and
@@ -111,6 +148,7 @@ class Workspace(NamedTuple):
     labels: IntArray
     order: PixelOrder
     links: Links
+    substitutes: Substitutes
     scratch: Float32Array
     targets: Int32Array
     offsets: Int32Array
@@ -154,6 +192,7 @@ def workspace_for(field: LightField, width: int, height: int, chosen: Int32Array
         labels,
         order,
         links_for(count, cells),
+        substitutes_for(len(chosen), count),
         np.zeros(SCRATCH_SIZE, np.float32),
         np.zeros(ROW_LENGTH, np.int32),
         np.zeros(ROW_LENGTH, np.int32),
