@@ -49,7 +49,7 @@ def compiled_step(function: Function) -> Function:
 
 
 def compiled_leaf(function: Function) -> Function:
-    """Like ``compiled_step``, for small functions that neither make arrays nor slice them.
+    """Like ``compiled_step``, for small functions that make no arrays; slices are none.
 
     Numba counts the references to an array in every function that it is passed to, by locked
     operations on memory that all threads share. In a function that is called for every pixel this
