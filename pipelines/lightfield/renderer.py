@@ -298,9 +298,18 @@ class Renderer:
         """Does work on all of so many poses: at most so many in one call, some for every thread."""
         together = min(most, max(1, -(-count // self.threads)))
         parts = [slice(start, start + together) for start in range(0, count, together)]
-        # Handing one part to another thread would take as long as some particles.
-        run = self._pool.map if len(parts) > 1 else map
-        list(run(work, parts))
+        remaining = iter(parts)
+
+        def drain() -> None:
+            # Threads may share a list's iterator: it hands out each part once.
+            for part in remaining:
+                work(part)
+
+        # This thread takes its share: to wake another one takes as long as some particles.
+        helpers = [self._pool.submit(drain) for _ in range(min(self.threads, len(parts)) - 1)]
+        drain()
+        for helper in helpers:
+            helper.result()
 
 
 def every_pixel(intrinsics: Intrinsics) -> Int32Array:
