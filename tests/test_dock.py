@@ -1,6 +1,7 @@
 """Docking in front of a painted wall: it gets there, and every other ending has its name."""
 
 import math
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -142,9 +143,18 @@ def test_outside_of_the_area() -> None:
     assert robot.commands == []
 
 
-@pytest.mark.parametrize("limit", [{"max_steps": 3}, {"max_seconds": 0.1}])
-def test_timed_out(limit: dict[str, Any]) -> None:
-    robot = PaintedRobot()
+class Slow(PaintedRobot):
+    """Its camera takes its time."""
+
+    def take_image(self) -> ImageArray:
+        time.sleep(0.06)
+        return super().take_image()
+
+
+@pytest.mark.parametrize(
+    ("robot", "limit"), [(PaintedRobot(), {"max_steps": 3}), (Slow(), {"max_seconds": 0.1})]
+)
+def test_timed_out(robot: PaintedRobot, limit: dict[str, Any]) -> None:
     docking, _ = docked(robot, near_wall(**limit))
     assert docking.outcome.ending is Ending.TIMED_OUT
     assert robot.is_stopped

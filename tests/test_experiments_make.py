@@ -35,7 +35,7 @@ echo made > "$output"
 """
 
 # Sweeps find out by themselves what is left to do, and are asked each time.
-SWEEPS = ["sweep"] * 6
+SWEEPS = ["sweep"] * 7
 
 pytestmark = pytest.mark.skipif(shutil.which("make") is None, reason="needs make")
 
@@ -136,6 +136,7 @@ def test_nothing_changed_makes_nothing(built: Workspace) -> None:
             "true-poses",
             "proposals",
             "particles",
+            "pixels",
         )
     }
 
