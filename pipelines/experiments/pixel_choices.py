@@ -19,7 +19,7 @@ from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.likelihood import LIKELIHOODS
 from pipelines.localize.localizer import VIEW_RESOLUTION_FACTOR
-from pipelines.localize.observation import Observer
+from pipelines.localize.observation import Observer, lattice
 from pipelines.localize.state_space import PLANAR
 
 WIDTH = 40
@@ -32,12 +32,12 @@ LARGEST_TIME_GAP = 0.1
 Choice = Callable[[FloatArray, int, np.random.Generator], FloatArray]
 
 
-def lattice(step: int, shift: int) -> Choice:
-    """One pixel in ``step`` of each row, ``shift`` further to the left in each."""
+def by_lattice(step: int, shift: int) -> Choice:
+    """One pixel in ``step`` of each row, ``shift`` aside in each."""
 
     def choose(grey: FloatArray, turn: int, _rng: np.random.Generator) -> FloatArray:
-        rows, columns = np.indices(grey.shape)
-        return np.asarray((columns + shift * rows + turn) % step == 0, dtype=np.float64)
+        rows, columns = grey.shape
+        return lattice((rows, columns), step, shift, -turn).astype(np.float64)
 
     return choose
 
@@ -77,10 +77,10 @@ def by_gradient(share: float, floor: float) -> Choice:
 
 CHOICES: Mapping[str, Choice] = MappingProxyType(
     {
-        "one in 2, (x + y) mod 2": lattice(2, 1),
-        "one in 3, (x + y) mod 3": lattice(3, 1),
-        "one in 5, (x + 2y) mod 5": lattice(5, 2),
-        "one in 10, (x + 3y) mod 10": lattice(10, 3),
+        "one in 2, (x + y) mod 2": by_lattice(2, 1),
+        "one in 3, (x + y) mod 3": by_lattice(3, 1),
+        "one in 5, (x + 2y) mod 5": by_lattice(5, 2),
+        "one in 10, (x + 3y) mod 10": by_lattice(10, 3),
         "one in 4, every other column and row": every_other,
         "one in 4, by chance": by_gradient(0.25, 1e9),
         "one in 4, by chance, gradient + 20": by_gradient(0.25, 20.0),

@@ -19,7 +19,7 @@ from pipelines.lightfield.blending import (
     VIEWS_PER_CORNER,
     VIEWS_PER_TILE,
 )
-from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_step
+from pipelines.lightfield.compiled import compiled_leaf, compiled_step
 from pipelines.lightfield.ranking_kernels import (
     POINTS,
     RANKING_SCRATCH,
@@ -116,7 +116,7 @@ def tile_count(size: int) -> int:
     return min(max(size // TILE_SIDE, FEWEST_TILES), MOST_TILES)
 
 
-@compiled
+@compiled_step
 def tile_borders(size: int) -> IntArray:
     """Pixel columns (or rows) on which the tiles' corners lie; see ``blending.tile_borders``."""
     tiles = tile_count(size)

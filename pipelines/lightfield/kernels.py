@@ -152,6 +152,37 @@ def _show_substitutes(
         image[found[i], 3] = ONE
 
 
+@compiled_leaf
+def _show(
+    field: LightField,
+    pose: FloatArray,
+    intrinsics: FloatArray,
+    cells: int,
+    width: int,
+    surface: Float32Array,
+    space: Workspace,
+    image: Float32Array,
+) -> None:
+    """Renders one virtual view, whose cells are set: what they show, then what others show instead.
+
+    Args:
+        field: the light field.
+        pose: (4, 4) world_from_camera.
+        intrinsics: (4,) fx, fy, cx, cy.
+        cells: their number; 0: nothing is shown.
+        width: of the virtual image.
+        surface: (H W,) inverse depths.
+        space: changed.
+        image: (h, w, 4) receives the view's P = h w pixels that are rendered.
+    """
+    pixels = image.reshape((-1, 4))
+    empty = _show_cells(field, pose, intrinsics, cells, surface, space, pixels, pixels.reshape(-1))
+    if cells > 0 and empty > 0:
+        found = find_substitutes(field, pose, intrinsics, surface, width, pixels, space)
+        if found > 0:
+            _show_substitutes(field, pose, intrinsics, found, width, surface, space, pixels)
+
+
 @compiled
 def render_tiles(
     field: LightField,
@@ -199,13 +230,7 @@ def render_tiles(
             space.cell_weights,
         )
         cells = len(space.cell_views)
-        pixels = image.reshape((-1, 4))
-        colours = pixels.reshape(-1)
-        empty = _show_cells(field, pose, intrinsics, cells, surface, space, pixels, colours)
-        if empty > 0:
-            cells = find_substitutes(field, pose, intrinsics, surface, width, pixels, space)
-            if cells > 0:
-                _show_substitutes(field, pose, intrinsics, cells, width, surface, space, pixels)
+        _show(field, pose, intrinsics, cells, width, surface, space, image)
         if kind != NO_COMPARISON:
             costs[index] = compare(kind, image, query, fit_gain)
 
@@ -232,12 +257,6 @@ def render_nets(
         virtual_rays(pose, intrinsics, space.rays)
         space.is_mapped[:] = False
         cells = set_net(field, pose, intrinsics, surface, width, space)
-        pixels = image.reshape((-1, 4))
-        colours = pixels.reshape(-1)
-        empty = _show_cells(field, pose, intrinsics, cells, surface, space, pixels, colours)
-        if cells > 0 and empty > 0:
-            cells = find_substitutes(field, pose, intrinsics, surface, width, pixels, space)
-            if cells > 0:
-                _show_substitutes(field, pose, intrinsics, cells, width, surface, space, pixels)
+        _show(field, pose, intrinsics, cells, width, surface, space, image)
         if kind != NO_COMPARISON:
             costs[index] = compare(kind, image, query, fit_gain)

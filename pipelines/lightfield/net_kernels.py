@@ -14,6 +14,7 @@ from pipelines.lightfield.net import (
     SMALLEST_RELATIVE_DEPTH,
 )
 from pipelines.lightfield.net_cell_kernels import NetRoom, line_net, triangle_net
+from pipelines.lightfield.sorting_kernels import sort_indices
 from pipelines.lightfield.triangulation import GHOST
 
 # Rounds of Jacobi's method. Each squares what is left beside the diagonal: five leave nothing.
@@ -33,21 +34,6 @@ def project_centre(
         z = smallest
     corner[0] = intrinsics[0] * x / z + intrinsics[2]
     corner[1] = intrinsics[1] * y / z + intrinsics[3]
-
-
-@compiled_leaf
-def _sort(values: FloatArray, count: int, order: IntArray) -> None:
-    """Writes the order of the first ``count`` values.
-
-    Stable: views from one place, as a turning camera takes them, are no matter of chance.
-    """
-    for number in range(count):
-        place = number
-        # Cutting the net takes far longer than to put each in its place.
-        while place > 0 and values[order[place - 1]] > values[number]:
-            order[place] = order[place - 1]
-            place -= 1
-        order[place] = number
 
 
 @compiled_leaf
@@ -191,7 +177,7 @@ def build_net(
         count += 1
     if count == 0:
         return 0
-    _sort(room.distances, count, room.order)
+    sort_indices(room.distances, count, room.order)
     kept = _distinct_corners(count, room)
     for number in range(kept):
         for i in range(2):
@@ -206,7 +192,7 @@ def build_net(
             _flat_direction(pose, intrinsics, room)
     if cells == 0:
         _set_positions(kept, room)
-        _sort(room.positions, kept, room.order)
+        sort_indices(room.positions, kept, room.order)
         cells = line_net(kept, room, cell_views, cell_weights, label)
     for cell in range(cells):
         for i in range(cell_views.shape[1]):

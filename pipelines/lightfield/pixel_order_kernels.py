@@ -77,9 +77,9 @@ def order_by_label(labels: IntArray, cells: int, order: PixelOrder) -> None:
     for cell in range(cells + 1):
         starts[cell] = 0
     if len(order.chosen) == labels.size:
-        _order_all(labels, order)
+        _order_all(labels, cells, order)
     else:
-        _order_some(labels.reshape(-1), order)
+        _order_some(labels.reshape(-1), cells, order)
     # Each start has moved to the next one's place.
     for cell in range(cells, 0, -1):
         starts[cell] = starts[cell - 1]
@@ -87,14 +87,14 @@ def order_by_label(labels: IntArray, cells: int, order: PixelOrder) -> None:
 
 
 @compiled_leaf
-def _add_up(starts: IntArray) -> None:
+def _add_up(starts: IntArray, cells: int) -> None:
     """Turns the sizes of cells, each of which stands one behind its own place, into beginnings."""
-    for cell in range(len(starts) - 1):
+    for cell in range(cells):
         starts[cell + 1] += starts[cell]
 
 
 @compiled_leaf
-def _order_some(labels: IntArray, order: PixelOrder) -> None:
+def _order_some(labels: IntArray, cells: int, order: PixelOrder) -> None:
     """Pixel by pixel; a cell's place is read and written only where another cell begins."""
     starts, count = order.starts, np.uintp(len(order.chosen))
     last, run = np.int64(0), np.int64(0)
@@ -105,7 +105,7 @@ def _order_some(labels: IntArray, order: PixelOrder) -> None:
             last, run = label, np.int64(0)
         run += 1
     starts[last + 1] += run
-    _add_up(starts)
+    _add_up(starts, cells)
     last = np.int64(0)
     place = np.uintp(starts[0])
     for i in range(count):
@@ -122,7 +122,7 @@ def _order_some(labels: IntArray, order: PixelOrder) -> None:
 
 
 @compiled_leaf
-def _order_all(labels: IntArray, order: PixelOrder) -> None:
+def _order_all(labels: IntArray, cells: int, order: PixelOrder) -> None:
     """All pixels of an image, by runs of equal labels."""
     starts = order.starts
     height, width = labels.shape
@@ -132,7 +132,7 @@ def _order_all(labels: IntArray, order: PixelOrder) -> None:
             last = _end_of_run(labels, y, first, width)
             starts[labels[y, first] + 1] += last - first
             first = last
-    _add_up(starts)
+    _add_up(starts, cells)
     for y in range(height):
         first = 0
         while first < width:

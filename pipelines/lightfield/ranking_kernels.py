@@ -19,6 +19,7 @@ from pipelines.lightfield.blending import (
     VIEWS_PER_CORNER,
 )
 from pipelines.lightfield.compiled import compiled_leaf, compiled_loop
+from pipelines.lightfield.sorting_kernels import sort_indices
 from pipelines.lightfield.views import ViewArrays
 
 # Points that are ranked together.
@@ -329,13 +330,8 @@ def order_groups(
         rz = scratch[PZ] - spheres[group, 2]
         along = rx * scratch[VX] + ry * scratch[VY] + rz * scratch[VZ]
         # Minus the cosine.
-        own = -along / np.sqrt(rx * rx + ry * ry + rz * rz)
-        place = group
-        # They are few: put each in its place.
-        while place > 0 and deviations[place - 1] > own:
-            deviations[place], order[place] = deviations[place - 1], order[place - 1]
-            place -= 1
-        deviations[place], order[place] = own, group
+        deviations[group] = -along / np.sqrt(rx * rx + ry * ry + rz * rz)
+    sort_indices(deviations, len(spheres), order)
 
 
 @compiled_loop

@@ -36,6 +36,19 @@ LATTICES = MappingProxyType({1: 0, 2: 1, 3: 1, 5: 2})
 FEWEST_COMPARED = 240
 
 
+def lattice(shape: tuple[int, int], step: int, shift: int, number: int) -> BoolArray:
+    """The ``number``-th of the lattices that hold one pixel in ``step`` of each row.
+
+    Args:
+        shape: rows and columns of the image.
+        step: columns from one pixel to the next.
+        shift: how far a row's pixels stand aside from those of the row above.
+        number: counted round and round: after ``step`` of them each pixel was in one.
+    """
+    rows, columns = np.indices(shape)
+    return np.asarray((columns + shift * rows) % step == number % step)
+
+
 @dataclass(frozen=True)
 class Observation:
     """A camera image ready for comparison.
@@ -59,8 +72,7 @@ class Observation:
         height, width = self.image.shape[:2]
         able = [step for step in LATTICES if height * width >= step * FEWEST_COMPARED]
         step = max((step for step in able if step <= one_in), default=1)
-        rows, columns = np.indices((height, width))
-        is_compared = (columns + LATTICES[step] * rows) % step == self.number % step
+        is_compared = lattice((height, width), step, LATTICES[step], self.number)
         return np.where(is_compared[..., None], self.image, np.float32(np.nan))
 
 
