@@ -4,22 +4,21 @@ A tile is a cell in the sense of ``net_kernels``: some views, each with a weight
 the pixel, so that the renderer need not know which rule made it.
 """
 
+import functools
 from typing import NamedTuple
 
 import numpy as np
 
 from pipelines.artifacts.array_types import Float32Array, FloatArray, Int32Array, IntArray
 from pipelines.lightfield.blending import (
-    FEWEST_TILES,
     MOST_RANKED,
-    MOST_TILES,
-    OUTLOOK_POINTS,
     OUTLOOK_VIEWS,
-    TILE_SIDE,
     VIEWS_PER_CORNER,
     VIEWS_PER_TILE,
+    outlook_positions,
+    tile_borders,
 )
-from pipelines.lightfield.compiled import compiled_leaf, compiled_step
+from pipelines.lightfield.compiled import compiled_leaf
 from pipelines.lightfield.ranking_kernels import (
     POINTS,
     RANKING_SCRATCH,
@@ -30,6 +29,7 @@ from pipelines.lightfield.ranking_kernels import (
     set_points,
     set_shares,
 )
+from pipelines.lightfield.record_type import compiled_record
 from pipelines.lightfield.view_index import VIEW_NUMBERS, ViewIndex
 from pipelines.lightfield.views import ViewArrays
 
@@ -39,6 +39,7 @@ MOST_NARROWED = OUTLOOK_VIEWS * POINTS
 NARROWED = -2
 
 
+@compiled_record
 class Tiling(NamedTuple):
     """The tiles of images of one size, and memory for choosing their views.
 
@@ -82,20 +83,12 @@ class Tiling(NamedTuple):
     at_corner: FloatArray
 
 
-@compiled_step
 def tiling_for(width: int, height: int, view_count: int, group_count: int) -> Tiling:
     """Makes a tiling for images of one size and a light field of so many views and groups."""
-    points = point_count(width, height)
-    columns, rows = np.empty(points, np.float32), np.empty(points, np.float32)
-    pixels = np.empty(points, np.int32)
-    across, down = tile_borders(width), tile_borders(height)
-    set_places(width, height, across, down, columns, rows, pixels)
+    places = _places(width, height)
+    points = len(places[-1])
     return Tiling(
-        across,
-        down,
-        columns,
-        rows,
-        pixels,
+        *places,
         np.empty((VIEWS_PER_CORNER, points), np.int32),
         np.empty((VIEWS_PER_CORNER, points), np.float32),
         np.empty(RANKING_SCRATCH, np.float32),
@@ -110,23 +103,31 @@ def tiling_for(width: int, height: int, view_count: int, group_count: int) -> Ti
     )
 
 
+@functools.lru_cache(maxsize=32)
+def _places(
+    width: int, height: int
+) -> tuple[IntArray, IntArray, Float32Array, Float32Array, Int32Array]:
+    """Where the points that are ranked lie, and what else a tiling has of images of one size.
+
+    Returns:
+        Its columns and rows of corners; columns, rows and pixels of the points, ``(C,)``.
+    """
+    across, down = tile_borders(width), tile_borders(height)
+    corner_rows, corner_columns = np.meshgrid(down, across, indexing="ij")
+    outlook_rows, outlook_columns = np.meshgrid(
+        outlook_positions(height), outlook_positions(width), indexing="ij"
+    )
+    # The last corner stands for those that are not there.
+    filled = (0, -corner_rows.size % POINTS)
+    columns, rows = (
+        np.concatenate([outlook.reshape(-1), np.pad(corners.reshape(-1), filled, mode="edge")])
+        for outlook, corners in ((outlook_columns, corner_columns), (outlook_rows, corner_rows))
+    )
+    pixels = (rows * width + columns).astype(np.int32)
+    return across, down, columns.astype(np.float32), rows.astype(np.float32), pixels
+
+
 @compiled_leaf
-def tile_count(size: int) -> int:
-    """How many tiles there are across (or down) an image of so many pixels."""
-    return min(max(size // TILE_SIDE, FEWEST_TILES), MOST_TILES)
-
-
-@compiled_step
-def tile_borders(size: int) -> IntArray:
-    """Pixel columns (or rows) on which the tiles' corners lie; see ``blending.tile_borders``."""
-    tiles = tile_count(size)
-    borders = np.empty(tiles + 1, np.int64)
-    for i in range(tiles + 1):
-        borders[i] = min(i * size // tiles, size - 1)
-    return borders
-
-
-@compiled_step
 def set_labels(across: IntArray, down: IntArray, labels: IntArray) -> None:
     """Writes the tile in which each pixel (H, W) lies, given the columns and rows of corners."""
     height, width = labels.shape
@@ -134,47 +135,9 @@ def set_labels(across: IntArray, down: IntArray, labels: IntArray) -> None:
         last_row = down[i + 1] if i + 2 < len(down) else height
         for j in range(len(across) - 1):
             last_column = across[j + 1] if j + 2 < len(across) else width
-            labels[down[i] : last_row, across[j] : last_column] = i * (len(across) - 1) + j
-
-
-@compiled_step
-def point_count(width: int, height: int) -> int:
-    """How many points are ranked in an image, in whole batches of ``POINTS``."""
-    corners = (tile_count(width) + 1) * (tile_count(height) + 1)
-    return POINTS + (corners + POINTS - 1) // POINTS * POINTS
-
-
-@compiled_step
-def set_places(
-    width: int,
-    height: int,
-    across: IntArray,
-    down: IntArray,
-    columns: Float32Array,
-    rows: Float32Array,
-    pixels: Int32Array,
-) -> None:
-    """Writes where the points that are ranked lie: the outlook's, then the tiles' corners.
-
-    Args:
-        width: of the image, and
-        height: of it.
-        across: columns on which corners lie, and
-        down: rows.
-        columns: (C,) and
-        rows: (C,) receive the points' places, and
-        pixels: (C,) int32 their pixels.
-    """
-    corners = len(across) * len(down)
-    last = OUTLOOK_POINTS - 1
-    for i in range(len(columns)):
-        # The last corner stands for those that are not there.
-        corner = min(i - POINTS, corners - 1)
-        x, y = i % OUTLOOK_POINTS * (width - 1) // last, i // OUTLOOK_POINTS * (height - 1) // last
-        if corner >= 0:
-            x, y = across[corner % len(across)], down[corner // len(across)]
-        columns[i], rows[i] = x, y
-        pixels[i] = y * width + x
+            for y in range(down[i], last_row):
+                for x in range(across[j], last_column):
+                    labels[y, x] = i * (len(across) - 1) + j
 
 
 @compiled_leaf

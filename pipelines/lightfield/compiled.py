@@ -31,13 +31,25 @@ def compiled(function: Function) -> Function:
     It releases the interpreter lock, divides as the processor does (no exception for zero), and may
     fuse multiplication and addition; infinities and NaN keep their meaning.
     """
-    options = _options(EXACT, count_references=True, is_copied=False)
+    return _compiled_outside(function, count_references=True)
+
+
+def _compiled_outside(function: Function, count_references: bool) -> Function:
+    options = _options(EXACT, count_references, is_copied=False)
     dispatcher: Any = njit(pipeline_class=KernelCompiler, **options)(function)
     # Where no folder can be written to, functions are compiled anew in every process.
     with contextlib.suppress(RuntimeError):
         dispatcher._cache = _DependencyCache(function)
     # To callers a compiled function is the function that it was made from.
     return cast("Function", dispatcher)
+
+
+def compiled_kernel(function: Function) -> Function:
+    """Like ``compiled``, for functions that make no arrays and call none that does.
+
+    See ``compiled_leaf`` for what that saves.
+    """
+    return _compiled_outside(function, count_references=False)
 
 
 def compiled_step(function: Function) -> Function:

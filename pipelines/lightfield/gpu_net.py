@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray, IntArray
 from pipelines.geometry.camera import Intrinsics
-from pipelines.lightfield.compiled import compiled
-from pipelines.lightfield.net_cell_kernels import net_room_for
+from pipelines.lightfield.compiled import compiled_kernel
+from pipelines.lightfield.net_cell_kernels import NetRoom, net_room_for
 from pipelines.lightfield.net_kernels import build_net
 
 WordArray = NDArray[np.uint32]
@@ -77,7 +77,14 @@ def cut_nets(
         weights = np.zeros((count, most, VIEWS_PER_CELL, 4))
         labels = np.empty((count, intrinsics.height, intrinsics.width), dtype=np.int64)
         cells = _cut(
-            poses[part], intrinsics.vector(), centres, visible[part], views, weights, labels
+            poses[part],
+            intrinsics.vector(),
+            centres,
+            visible[part],
+            net_room_for(len(centres)),
+            views,
+            weights,
+            labels,
         )
         return Nets(views[:, :cells].copy(), weights[:, :cells].copy(), labels, cells)
 
@@ -135,18 +142,19 @@ def _words_per_pose(cells: int, pixels: int, view_count: int) -> int:
     return CELL_WORDS * cells + labels + bits
 
 
-@compiled
+@compiled_kernel
 def _cut(
     poses: FloatArray,
     intrinsics: FloatArray,
     centres: FloatArray,
     visible: BoolArray,
+    room: NetRoom,
     views: IntArray,
     weights: FloatArray,
     labels: IntArray,
 ) -> int:
     """Writes the nets of B poses; returns the number of cells of the largest."""
-    most, room = 0, net_room_for(len(centres))
+    most = 0
     for index in range(len(poses)):
         cells = build_net(
             centres,

@@ -12,16 +12,21 @@ from typing import cast
 
 import numpy as np
 
-from pipelines.artifacts.array_types import Float32Array, FloatArray, Int32Array
-from pipelines.lightfield.blending_kernels import build_tiles
+from pipelines.artifacts.array_types import Float32Array, FloatArray
+from pipelines.lightfield.blending_kernels import build_tiles, set_labels
 from pipelines.lightfield.cell_kernels import blend_cells, set_net
 from pipelines.lightfield.comparison import compare
-from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_loop, compiled_step
+from pipelines.lightfield.compiled import (
+    compiled_kernel,
+    compiled_leaf,
+    compiled_loop,
+    compiled_part,
+)
 from pipelines.lightfield.mapping_kernels import virtual_rays
-from pipelines.lightfield.pixel_order_kernels import pixel_order_for
+from pipelines.lightfield.pixel_order_kernels import order_by_label
 from pipelines.lightfield.reference import SMALLEST_WEIGHT
 from pipelines.lightfield.substitute_kernels import find_substitutes
-from pipelines.lightfield.workspace import LightField, Workspace, links_for, workspace_for
+from pipelines.lightfield.workspace import SUBSTITUTES_TOGETHER, LightField, Workspace
 
 OPAQUE = np.float32(255.0)
 ONE, ZERO, SMALLEST = np.float32(1.0), np.float32(0.0), np.float32(SMALLEST_WEIGHT)
@@ -102,13 +107,12 @@ def _show_cells(
     return _normalised(colours)
 
 
-@compiled_step
+@compiled_part
 def _show_substitutes(
     field: LightField,
     pose: FloatArray,
     intrinsics: FloatArray,
-    cells: int,
-    width: int,
+    found: int,
     surface: Float32Array,
     space: Workspace,
     image: Float32Array,
@@ -119,37 +123,39 @@ def _show_substitutes(
         field: the light field.
         pose: (4, 4) world_from_camera.
         intrinsics: (4,) fx, fy, cx, cy.
-        cells: how many pixels these are.
-        width: of the virtual image.
+        found: how many pixels these are.
         surface: (H W,) inverse depths.
         space: changed.
         image: (P, 4) changed.
     """
-    found, cell_views = space.substitutes.pixels, space.substitutes.views
-    cell_weights, cell_origins = np.zeros((cells, 1, 4)), np.zeros((cells, 2))
-    order = pixel_order_for(space.order.chosen[found[:cells]], width, cells)
-    for i in range(cells):
-        order.starts[i + 1] = i + 1
-        order.columns[i], order.rows[i] = order.chosen_columns[i], order.chosen_rows[i]
-        order.surface[i] = surface[order.chosen[i]]
-        order.pixels[i] = found[i]
-        cell_weights[i, 0, 2] = 1.0
-    blend_cells(
-        field,
-        NOTHING_HIDES,
-        pose,
-        0.5 * (intrinsics[0] + intrinsics[1]),
-        cells,
-        cell_views,
-        cell_weights,
-        cell_origins,
-        order,
-        links_for(len(field.views.centres), cells),
-        space,
-        image,
-    )
-    for i in range(cells):
-        image[found[i], 3] = ONE
+    substitutes, rendered = space.substitutes, space.order
+    order = substitutes.order
+    for first in range(0, found, SUBSTITUTES_TOGETHER):
+        cells = min(found - first, SUBSTITUTES_TOGETHER)
+        for i in range(cells):
+            pixel = substitutes.pixels[first + i]
+            order.columns[i], order.rows[i] = (
+                rendered.chosen_columns[pixel],
+                rendered.chosen_rows[pixel],
+            )
+            order.surface[i] = surface[rendered.chosen[pixel]]
+            order.pixels[i] = pixel
+        blend_cells(
+            field,
+            NOTHING_HIDES,
+            pose,
+            0.5 * (intrinsics[0] + intrinsics[1]),
+            cells,
+            substitutes.views[first:],
+            substitutes.cell_weights,
+            substitutes.cell_origins,
+            order,
+            substitutes.links,
+            space,
+            image,
+        )
+        for i in range(cells):
+            image[order.pixels[i], 3] = ONE
 
 
 @compiled_leaf
@@ -180,16 +186,16 @@ def _show(
     if cells > 0 and empty > 0:
         found = find_substitutes(field, pose, intrinsics, surface, width, pixels, space)
         if found > 0:
-            _show_substitutes(field, pose, intrinsics, found, width, surface, space, pixels)
+            _show_substitutes(field, pose, intrinsics, found, surface, space, pixels)
 
 
-@compiled
+@compiled_kernel
 def render_tiles(
     field: LightField,
     poses: FloatArray,
     intrinsics: FloatArray,
     surfaces: Float32Array,
-    chosen: Int32Array,
+    space: Workspace,
     query: Float32Array,
     kind: int,
     fit_gain: bool,
@@ -203,7 +209,7 @@ def render_tiles(
         poses: (B, 4, 4) world_from_camera.
         intrinsics: (4,) fx, fy, cx, cy.
         surfaces: (B, H, W) virtual inverse depths; 0: none.
-        chosen: (P,) int32 indices of the pixels that are rendered, rising; P is H W for all.
+        space: made for this light field and size of image, and P pixels of it; changed.
         query: camera image, see ``comparison.prepared``: (H, W, 4) or, of some pixels, (1, P, 4).
         kind: a ``Cost``, or ``NO_COMPARISON``.
         fit_gain: whether a brightness factor is fitted before the comparison.
@@ -211,8 +217,9 @@ def render_tiles(
             the pixel; all zero elsewhere. For a comparison one is enough.
         costs: (B,) receives the costs.
     """
-    height, width = surfaces.shape[1:]
-    space = workspace_for(field, width, height, chosen)
+    width, cells = surfaces.shape[2], len(space.cell_views)
+    set_labels(space.tiling.across, space.tiling.down, space.labels)
+    order_by_label(space.labels, cells, space.order)
     for index in range(len(poses)):
         pose, surface = poses[index], surfaces[index].reshape(-1)
         image = images[index % len(images)]
@@ -229,19 +236,18 @@ def render_tiles(
             space.cell_views,
             space.cell_weights,
         )
-        cells = len(space.cell_views)
         _show(field, pose, intrinsics, cells, width, surface, space, image)
         if kind != NO_COMPARISON:
             costs[index] = compare(kind, image, query, fit_gain)
 
 
-@compiled
+@compiled_kernel
 def render_nets(
     field: LightField,
     poses: FloatArray,
     intrinsics: FloatArray,
     surfaces: Float32Array,
-    chosen: Int32Array,
+    space: Workspace,
     query: Float32Array,
     kind: int,
     fit_gain: bool,
@@ -249,8 +255,7 @@ def render_nets(
     costs: FloatArray,
 ) -> None:
     """Like ``render_tiles``, by the Delaunay net."""
-    height, width = surfaces.shape[1:]
-    space = workspace_for(field, width, height, chosen)
+    width = surfaces.shape[2]
     for index in range(len(poses)):
         pose, surface = poses[index], surfaces[index].reshape(-1)
         image = images[index % len(images)]

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pipelines.artifacts.array_types import FloatArray, IntArray
-from pipelines.lightfield.compiled import compiled_leaf, compiled_step
+from pipelines.lightfield.compiled import compiled_leaf
+from pipelines.lightfield.record_type import compiled_record
 from pipelines.lightfield.triangulation import (
     GHOST,
     Triangulation,
@@ -21,6 +22,7 @@ from pipelines.lightfield.triangulation import (
 )
 
 
+@compiled_record
 class NetRoom(NamedTuple):
     """Memory for nets of up to N views.
 
@@ -57,7 +59,6 @@ class NetRoom(NamedTuple):
     triangulation: Triangulation
 
 
-@compiled_step
 def net_room_for(count: int) -> NetRoom:
     """Memory for nets of up to so many views."""
     return NetRoom(

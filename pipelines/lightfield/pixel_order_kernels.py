@@ -9,13 +9,15 @@ from typing import NamedTuple
 import numpy as np
 
 from pipelines.artifacts.array_types import Float32Array, Int32Array, IntArray
-from pipelines.lightfield.compiled import compiled_leaf, compiled_step
+from pipelines.lightfield.compiled import compiled_leaf
+from pipelines.lightfield.record_type import compiled_record
 from pipelines.lightfield.texel_intrinsic import LANES
 
 # Pixels that are passed over at once where a row's labels stay the same.
 STRIDE = 8
 
 
+@compiled_record
 class PixelOrder(NamedTuple):
     """P pixels of an image, in the order of the cells that they lie in.
 
@@ -44,17 +46,13 @@ class PixelOrder(NamedTuple):
     indices: Int32Array
 
 
-@compiled_step
 def pixel_order_for(chosen: Int32Array, width: int, cells: int) -> PixelOrder:
     """Memory for the order of some pixels of an image, by up to so many cells."""
     count = len(chosen)
-    columns, rows = np.empty(count, np.float32), np.empty(count, np.float32)
-    for i in range(count):
-        columns[i], rows[i] = chosen[i] % width, chosen[i] // width
     return PixelOrder(
         chosen,
-        columns,
-        rows,
+        (chosen % width).astype(np.float32),
+        (chosen // width).astype(np.float32),
         np.zeros(cells + 1, np.int64),
         np.zeros(count + LANES, np.float32),
         np.zeros(count + LANES, np.float32),

@@ -27,7 +27,7 @@ from pipelines.lightfield.proxy_kernels import depth_surfaces, plane_surfaces
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.view_index import build_index
 from pipelines.lightfield.views import Views, views_of_scene, without_depth
-from pipelines.lightfield.workspace import LightField
+from pipelines.lightfield.workspace import LightField, workspace_for
 
 logger = logging.getLogger(__name__)
 
@@ -291,7 +291,8 @@ class Renderer:
             usual = self._usual_inverse_depth
             depth_surfaces(self.views.arrays, usual, poses, vector, spacing, surfaces)
         render = render_nets if self._field.is_net else render_tiles
-        render(self._field, poses, vector, surfaces, chosen, query, kind, fit_gain, images, costs)
+        space = workspace_for(self._field, intrinsics.width, intrinsics.height, chosen)
+        render(self._field, poses, vector, surfaces, space, query, kind, fit_gain, images, costs)
         return surfaces
 
     def _run(self, work: Callable[[slice], None], count: int, most: int) -> None:

@@ -16,12 +16,14 @@ from typing import NamedTuple
 import numpy as np
 
 from pipelines.artifacts.array_types import BoolArray, FloatArray, IntArray
-from pipelines.lightfield.compiled import compiled_leaf, compiled_part, compiled_step
+from pipelines.lightfield.compiled import compiled_leaf, compiled_part
 from pipelines.lightfield.net import SMALLEST_AREA
+from pipelines.lightfield.record_type import compiled_record
 
 GHOST = -1
 
 
+@compiled_record
 class Triangulation(NamedTuple):
     """The triangles between up to n points, and memory for finding them.
 
@@ -39,7 +41,6 @@ class Triangulation(NamedTuple):
     removed: BoolArray
 
 
-@compiled_step
 def triangulation_for(count: int) -> Triangulation:
     """Memory for the triangulation of so many points."""
     most = 4 * count + 8

@@ -17,12 +17,14 @@ from pipelines.artifacts.array_types import (
     IntArray,
 )
 from pipelines.lightfield.blending import BORDER_SHARE
+from pipelines.lightfield.record_type import compiled_record
 from pipelines.lightfield.views import Views
 
 GROUP_VIEWS = 16
 VIEW_NUMBERS, SPHERE_NUMBERS = 18, 4
 
 
+@compiled_record
 class ViewIndex(NamedTuple):
     """S views in G groups, in the form that compiled code takes.
 

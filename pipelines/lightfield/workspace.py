@@ -1,5 +1,6 @@
 """What the fast renderer reads and writes: the light field, and memory for the views it draws."""
 
+import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -12,24 +13,26 @@ from pipelines.artifacts.array_types import (
     IntArray,
 )
 from pipelines.lightfield.blending import VIEWS_PER_TILE
-from pipelines.lightfield.blending_kernels import Tiling, set_labels, tile_count, tiling_for
-from pipelines.lightfield.compiled import compiled_step
+from pipelines.lightfield.blending_kernels import Tiling, tiling_for
 from pipelines.lightfield.net_cell_kernels import NetRoom, net_room_for
-from pipelines.lightfield.pixel_order_kernels import (
-    PixelOrder,
-    order_by_label,
-    pixel_order_for,
-)
+from pipelines.lightfield.pixel_order_kernels import PixelOrder, pixel_order_for
+from pipelines.lightfield.record_type import compiled_record
 from pipelines.lightfield.sampling_kernels import COEFFICIENTS, ROW_LENGTH, SCRATCH_SIZE
+from pipelines.lightfield.texel_intrinsic import LANES
 from pipelines.lightfield.view_index import ViewIndex
 from pipelines.lightfield.views import ViewArrays
 
+# Bytes of a number in single precision, and of a processor's widest vector.
+NUMBER_SIZE, ALIGNMENT = 4, 64
 # A cell has fewer views than this.
 SLOTS = 16
+# Pixels that their cells leave empty are shown by others so many at a time.
+SUBSTITUTES_TOGETHER = 1024
 # Behind the last cell of a chain.
 END = -1
 
 
+@compiled_record
 class LightField(NamedTuple):
     """A light field and how it is rendered, in the form that compiled code takes.
 
@@ -48,6 +51,7 @@ class LightField(NamedTuple):
     is_net: bool
 
 
+@compiled_record
 class Links(NamedTuple):
     """The cells that show the same view, for each view.
 
@@ -64,7 +68,6 @@ class Links(NamedTuple):
     next: IntArray
 
 
-@compiled_step
 def links_for(views: int, cells: int) -> Links:
     """Memory for the chains of so many views and cells."""
     return Links(
@@ -74,12 +77,17 @@ def links_for(views: int, cells: int) -> Links:
     )
 
 
+@compiled_record
 class Substitutes(NamedTuple):
     """Pixels that none of their cell's views show, and the views that do instead.
 
     Attributes:
         pixels: ``(P,)`` int32 which of those that are rendered, and
         views: ``(P, 1)`` the view of each.
+        order: the order of as many as are rendered at a time, each of which is a cell, and
+        links: their chains, and
+        cell_weights: ``(n, 1, 4)`` their weights, all 1, and
+        cell_origins: ``(n, 2)``.
         everywhere: ``(N,)`` views that may show any, and
         here: ``(N,)`` any of a row.
         box: ``(6,)`` around pixels: columns, rows, inverse depths, two of each.
@@ -89,6 +97,10 @@ class Substitutes(NamedTuple):
 
     pixels: Int32Array
     views: IntArray
+    order: PixelOrder
+    links: Links
+    cell_weights: FloatArray
+    cell_origins: FloatArray
     everywhere: IntArray
     here: IntArray
     box: FloatArray
@@ -96,12 +108,29 @@ class Substitutes(NamedTuple):
     corner: FloatArray
 
 
-@compiled_step
 def substitutes_for(pixels: int, views: int) -> Substitutes:
     """Memory for the substitutes of so many pixels, by so many views."""
+    starts, weights, origins = _single_cells()
+    columns, rows, surface = np.zeros((3, SUBSTITUTES_TOGETHER + LANES), np.float32)
+    nothing = np.empty(0, np.int32)
+    order = PixelOrder(
+        nothing,
+        surface[:0],
+        surface[:0],
+        starts,
+        columns,
+        rows,
+        surface,
+        np.zeros(SUBSTITUTES_TOGETHER + LANES, np.int32),
+        nothing,
+    )
     return Substitutes(
         np.empty(pixels, np.int32),
         np.empty((pixels, 1), np.int64),
+        order,
+        links_for(views, SUBSTITUTES_TOGETHER),
+        weights,
+        origins,
         np.empty(views, np.int64),
         np.empty(views, np.int64),
         np.empty(6),
@@ -110,6 +139,15 @@ def substitutes_for(pixels: int, views: int) -> Substitutes:
     )
 
 
+@functools.cache
+def _single_cells() -> tuple[IntArray, FloatArray, FloatArray]:
+    """Beginnings, weights, and origins of cells of one pixel and one view each; never changed."""
+    weights = np.zeros((SUBSTITUTES_TOGETHER, 1, 4))
+    weights[..., 2] = 1.0
+    return np.arange(SUBSTITUTES_TOGETHER + 1), weights, np.zeros((SUBSTITUTES_TOGETHER, 2))
+
+
+@compiled_record
 class Workspace(NamedTuple):
     """What rendering one view writes on its way; made once for many views of one size.
 
@@ -156,9 +194,8 @@ class Workspace(NamedTuple):
     coefficients: Float32Array
 
 
-@compiled_step
 def workspace_for(field: LightField, width: int, height: int, chosen: Int32Array) -> Workspace:
-    """Memory for rendering some pixels of views of one size; cells that do not change are set.
+    """Memory for rendering some pixels of views of one size.
 
     Args:
         field: the light field.
@@ -167,17 +204,14 @@ def workspace_for(field: LightField, width: int, height: int, chosen: Int32Array
         chosen: (P,) int32 the pixels, rising.
     """
     count = len(field.views.centres)
-    cells = 4 * count + 8 if field.is_net else tile_count(width) * tile_count(height)
-    labels, origins = np.zeros((height, width), np.int64), np.zeros((cells, 2))
     size = (1, 1) if field.is_net else (width, height)
-    tiling = tiling_for(size[0], size[1], count, len(field.view_index.spheres))
-    order = pixel_order_for(chosen, width, cells)
+    tiling = tiling_for(*size, count, len(field.view_index.spheres))
+    tiles = (len(tiling.down) - 1, len(tiling.across) - 1)
+    cells = 4 * count + 8 if field.is_net else tiles[0] * tiles[1]
+    origins = np.zeros((cells, 2))
     if not field.is_net:
-        set_labels(tiling.across, tiling.down, labels)
-        order_by_label(labels, cells, order)
-        for cell in range(cells):
-            row, column = divmod(cell, len(tiling.across) - 1)
-            origins[cell, 0], origins[cell, 1] = tiling.across[column], tiling.down[row]
+        corners = origins.reshape((*tiles, 2))
+        corners[..., 0], corners[..., 1] = tiling.across[:-1], tiling.down[:-1, None]
     return Workspace(
         np.empty((3, 3)),
         np.empty((count, 3, 3)),
@@ -189,13 +223,25 @@ def workspace_for(field: LightField, width: int, height: int, chosen: Int32Array
         origins,
         tiling,
         net_room_for(count if field.is_net else 0),
-        labels,
-        order,
+        np.zeros((height, width), np.int64),
+        pixel_order_for(chosen, width, cells),
         links_for(count, cells),
         substitutes_for(len(chosen), count),
-        np.zeros(SCRATCH_SIZE, np.float32),
-        np.zeros(ROW_LENGTH, np.int32),
-        np.zeros(ROW_LENGTH, np.int32),
-        np.zeros(ROW_LENGTH, np.int32),
+        *_chunk_memory(),
         np.empty(COEFFICIENTS, np.float32),
+    )
+
+
+def _chunk_memory() -> tuple[Float32Array, Int32Array, Int32Array, Int32Array]:
+    """A chunk's scratch and three rows of whole numbers, aligned for the widest vectors."""
+    count = SCRATCH_SIZE + 3 * ROW_LENGTH
+    memory = np.zeros(count * NUMBER_SIZE + ALIGNMENT, np.uint8)
+    start = -memory.ctypes.data % ALIGNMENT
+    numbers = memory[start : start + count * NUMBER_SIZE]
+    rows = numbers.view(np.int32)
+    return (
+        numbers.view(np.float32)[:SCRATCH_SIZE],
+        rows[SCRATCH_SIZE : SCRATCH_SIZE + ROW_LENGTH],
+        rows[SCRATCH_SIZE + ROW_LENGTH : SCRATCH_SIZE + 2 * ROW_LENGTH],
+        rows[SCRATCH_SIZE + 2 * ROW_LENGTH :],
     )
