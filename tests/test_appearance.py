@@ -7,6 +7,7 @@ from scipy.stats import qmc
 from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray
 from pipelines.geometry.pose import inverse, world_from_base_planar
 from pipelines.lightfield.comparison import Cost, compare, prepared
+from pipelines.lightfield.compiled import compiled_kernel
 from pipelines.lightfield.renderer import Renderer
 from pipelines.localize.appearance import (
     DISTINCT_ANGLE,
@@ -25,6 +26,7 @@ from pipelines.localize.observation import Observation, Observer
 from pipelines.localize.state_space import PLANAR, SPATIAL
 from tests.report_samples import CAMERA, MOUNT, facing_wall, photo, wall_scene
 
+compiled_compare = compiled_kernel(compare)
 SCENE = wall_scene()
 REGION = region_of_area(SCENE.bounds)
 OBSERVER = Observer(CAMERA, [16])
@@ -55,7 +57,7 @@ def tile_costs(image: Float32Array, covered: BoolArray, query: Float32Array) -> 
             tile = np.ix_(rows == row, columns == column)
             seen = covered[tile][..., None].astype(np.float32)
             own = np.concatenate([image[tile], seen], axis=2)
-            found.append(compare(int(Cost.SQUARED), own, prepared(query[tile]), True))
+            found.append(compiled_compare(int(Cost.SQUARED), own, prepared(query[tile]), True))
     return np.array(found)
 
 

@@ -19,9 +19,12 @@ from pipelines.lightfield.comparison import (
     fitted_gain,
     prepared,
 )
+from pipelines.lightfield.compiled import compiled_kernel
 from pipelines.lightfield.renderer import Renderer
 from tests.lightfield_samples import WALL, looking, photo, photographed, pinhole
 
+# They are parts of a kernel; called from here they would not be compiled.
+compiled_compare, compiled_gain = compiled_kernel(compare), compiled_kernel(fitted_gain)
 every_cost = pytest.mark.parametrize("cost", Cost)
 
 
@@ -33,13 +36,13 @@ def packed(image: Float32Array, covered: BoolArray) -> Float32Array:
 def cost_of(
     cost: Cost, image: Float32Array, covered: BoolArray, query: Float32Array, fit_gain: bool
 ) -> float:
-    return compare(int(cost), packed(image, covered), prepared(query), fit_gain)
+    return compiled_compare(int(cost), packed(image, covered), prepared(query), fit_gain)
 
 
 def gain_of(
     image: Float32Array, covered: BoolArray, query: Float32Array, trimmed: bool = False
 ) -> float:
-    return fitted_gain(packed(image, covered).ravel(), prepared(query).ravel(), trimmed)
+    return compiled_gain(packed(image, covered).ravel(), prepared(query).ravel(), trimmed)
 
 
 def formula(
@@ -251,7 +254,7 @@ def test_leaving_pixels_out_renders_the_others_as_before(
         query = generator.uniform(0.0, 255.0, (*rows.shape, 3)).astype(np.float32)
         query[~is_kept] = np.nan
         found = renderer.costs(pose[None], camera, query, cost, fit_gain)[0]
-        expected = compare(int(cost), view.rgba, prepared(query), fit_gain)
+        expected = compiled_compare(int(cost), view.rgba, prepared(query), fit_gain)
         assert found == pytest.approx(expected, rel=1e-5)
 
 

@@ -148,9 +148,7 @@ def kernel_sums(
     axes = np.eye(3) if space.angles == 3 else np.eye(3)[2:]
     unknowns = np.concatenate([np.eye(3)[: space.positions], axes])
     turns = np.arange(space.dimension) >= space.positions
-    count = space.dimension + 2
-    hessian, clusters = np.zeros((count, count)), np.zeros((16, count))
-    normal_equations(
+    return normal_equations(
         look.view.rgba,
         look.view.inverse_depth,
         prepared(target),
@@ -163,10 +161,7 @@ def kernel_sums(
         unknowns,
         turns,
         4,
-        hessian,
-        clusters,
     )
-    return hessian, clusters
 
 
 def plain_sums(

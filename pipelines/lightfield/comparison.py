@@ -11,7 +11,7 @@ from enum import IntEnum
 import numpy as np
 
 from pipelines.artifacts.array_types import Float32Array, ImageArray
-from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_loop
+from pipelines.lightfield.compiled import compiled_leaf, compiled_loop, compiled_part
 
 
 class Cost(IntEnum):
@@ -66,7 +66,7 @@ def prepared(query: ImageArray | Float32Array) -> Float32Array:
     return result
 
 
-@compiled
+@compiled_part
 def compare(kind: int, image: Float32Array, query: Float32Array, fit_gain: bool) -> float:
     """The cost of one rendered view.
 
@@ -106,7 +106,7 @@ def _gain_sums(
     return product, square
 
 
-@compiled
+@compiled_leaf
 def fitted_gain(image: Float32Array, query: Float32Array, trimmed: bool) -> float:
     """The factor, between 1 / LARGEST_GAIN and LARGEST_GAIN, that fits the image best.
 

@@ -2,126 +2,19 @@
 
 import numpy as np
 
-from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray, IntArray
-from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_loop
+from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray
+from pipelines.lightfield.compiled import compiled_kernel, compiled_leaf, compiled_loop
 
-# Standard deviation of a normal distribution over its median absolute deviation.
-MAD_TO_SIGMA = 1.4826
 # A pixel whose neighbours differ by less than so many grey levels says nothing about the pose.
 FLAT = 4.0
-# Rounds of reweighting in which the brightness settles.
-BRIGHTNESS_ROUNDS = 3
-# A bin is an eighth of a grey level wide, or a quarter where both signs are counted.
-HISTOGRAM_BINS = 2041
 # Sums over a pixel's channels, see ``_add_channels``.
 SUMS = 14
+# Numbers of an unknown: how it turns and shifts points, and how it moves a pixel.
+MOTION_NUMBERS = 8
 ONE, NOTHING = np.float32(1.0), np.float32(0.0)
 
 
-@compiled
-def fitted_brightness(
-    view: Float32Array,
-    target: Float32Array,
-    stride: int,
-    cutoff: float,
-    smallest_scale: float,
-    largest_gain: float,
-) -> tuple[float, float, float]:
-    """Gain and offset that take a rendered view to the camera image, outliers apart.
-
-    Iteratively reweighted least squares with Tukey's biweight.
-
-    Args:
-        view: (H, W, 4) rendered, and 1 where covered.
-        target: (H, W, 4) camera image, and 1 where it is to be compared.
-        stride: only every so many-th pixel of every so many-th row is used.
-        cutoff: errors beyond so many standard deviations count as something else.
-        smallest_scale: the standard deviation of the errors is taken for at least this.
-        largest_gain: the gain stays between this and its inverse.
-
-    Returns:
-        Gain, offset and the standard deviation of what remains, estimated robustly; grey levels.
-    """
-    height, width = view.shape[:2]
-    values = np.empty(3 * ((height + stride - 1) // stride) * ((width + stride - 1) // stride))
-    wanted = np.empty_like(values)
-    count = 0
-    for y in range(0, height, stride):
-        for x in range(0, width, stride):
-            if view[y, x, 3] * target[y, x, 3] > 0.0:
-                for channel in range(3):
-                    values[count] = view[y, x, channel]
-                    wanted[count] = target[y, x, channel]
-                    count += 1
-    if count == 0:
-        return 1.0, 0.0, smallest_scale
-    values, wanted = values[:count], wanted[:count]
-    histogram = np.empty(HISTOGRAM_BINS, np.int64)
-    gain, offset = 1.0, binned_median(wanted - values, -255.0, 255.0, histogram)
-    scale = smallest_scale
-    for step in range(BRIGHTNESS_ROUNDS + 1):
-        errors = gain * values + offset - wanted
-        median = binned_median(np.abs(errors), 0.0, 255.0, histogram)
-        scale = max(smallest_scale, MAD_TO_SIGMA * median)
-        if step == BRIGHTNESS_ROUNDS:
-            break
-        weights, first, second, squares, products = _brightness_sums(
-            values, wanted, errors, 1.0 / (cutoff * scale)
-        )
-        mean, wanted_mean = first / weights, second / weights
-        variance = squares / weights - mean * mean
-        # Below one grey level of contrast there is no gain to be told.
-        if variance < 1.0:
-            break
-        gain = (products / weights - mean * wanted_mean) / variance
-        gain = min(max(gain, 1.0 / largest_gain), largest_gain)
-        offset = wanted_mean - gain * mean
-    return gain, offset, scale
-
-
-@compiled_leaf
-def binned_median(values: FloatArray, low: float, high: float, histogram: IntArray) -> float:
-    """The median of numbers (n,), to within a bin: exact enough for a scale, and much faster.
-
-    Args:
-        values: at least one.
-        low: numbers below this count as it, and
-        high: numbers above this as that.
-        histogram: (HISTOGRAM_BINS,) overwritten.
-    """
-    histogram[:] = 0
-    bins = len(histogram)
-    scale = (bins - 1) / (high - low)
-    for i in range(len(values)):
-        place = min(max(values[i], low), high)
-        histogram[int((place - low) * scale + 0.5)] += 1
-    half, seen = (len(values) + 1) // 2, 0
-    for i in range(bins):
-        seen += histogram[i]
-        if seen >= half:
-            return low + i / scale
-    return high
-
-
-@compiled_loop
-def _brightness_sums(
-    values: FloatArray, wanted: FloatArray, errors: FloatArray, inverse_limit: float
-) -> tuple[float, float, float, float, float]:
-    """Sums of Tukey's weights, and of them times value, wanted, value^2 and value wanted."""
-    weights, first, second, squares, products = 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(len(values)):
-        ratio = errors[i] * inverse_limit
-        inside = max(1.0 - ratio * ratio, 0.0)
-        weight = inside * inside
-        weights += weight
-        first += weight * values[i]
-        second += weight * wanted[i]
-        squares += weight * values[i] * values[i]
-        products += weight * values[i] * wanted[i]
-    return weights, first, second, squares, products
-
-
-@compiled
+@compiled_kernel
 def robust_error(
     view: Float32Array, target: Float32Array, gain: float, offset: float, limit: float
 ) -> float:
@@ -169,7 +62,6 @@ def _loss_sums(
     return total, count
 
 
-@compiled
 def normal_equations(
     image: Float32Array,
     inverse_depth: Float32Array,
@@ -183,10 +75,8 @@ def normal_equations(
     axes: FloatArray,
     turns: BoolArray,
     tiles_across: int,
-    hessian: FloatArray,
-    clusters: FloatArray,
-) -> None:
-    """Adds up the weighted normal equations of one comparison.
+) -> tuple[FloatArray, FloatArray]:
+    """The weighted normal equations of one comparison.
 
     A surface point at offset Y from the camera's centre, in its axes, moves by
     -R^T (dp + w x (X - p)) when the body at p is shifted by dp and turned by w; divided by its
@@ -205,16 +95,78 @@ def normal_equations(
         axes: (D, 3) world axis of each unknown.
         turns: (D,) whether the unknown is a turn about its axis, or a shift along it.
         tiles_across: the image's gradients are kept apart for so many times so many tiles.
-        hessian: (D + 2, D + 2) receives the sum; the last two unknowns are gain and offset.
-        clusters: (tiles, D + 2) receives the gradient of each tile.
+
+    Returns:
+        The Hessian (D + 2, D + 2), whose last two unknowns are gain and offset, and the gradient of
+        each tile (tiles, D + 2).
+    """
+    count = len(axes) + 2
+    upper, clusters = np.zeros((count, count)), np.zeros((tiles_across**2, count))
+    motions, sums = np.empty((len(axes), MOTION_NUMBERS)), np.empty(SUMS)
+    _add_normal_equations(
+        image,
+        inverse_depth,
+        target,
+        gain,
+        offset,
+        limit,
+        intrinsics,
+        rotation,
+        lever,
+        axes,
+        turns,
+        tiles_across,
+        motions,
+        sums,
+        upper,
+        clusters,
+    )
+    return upper + np.triu(upper, 1).T, clusters
+
+
+@compiled_kernel
+def _add_normal_equations(
+    image: Float32Array,
+    inverse_depth: Float32Array,
+    target: Float32Array,
+    gain: float,
+    offset: float,
+    limit: float,
+    intrinsics: FloatArray,
+    rotation: FloatArray,
+    lever: FloatArray,
+    axes: FloatArray,
+    turns: BoolArray,
+    tiles_across: int,
+    motions: FloatArray,
+    sums: FloatArray,
+    hessian: FloatArray,
+    clusters: FloatArray,
+) -> None:
+    """``normal_equations``, of whose arguments most are.
+
+    Args:
+        image: see there, as all up to tiles_across.
+        inverse_depth: see there.
+        target: see there.
+        gain: see there.
+        offset: see there.
+        limit: see there.
+        intrinsics: see there.
+        rotation: see there.
+        lever: see there.
+        axes: see there.
+        turns: see there.
+        tiles_across: see there.
+        motions: (D, MOTION_NUMBERS) overwritten: turning and shifting, see ``_set_motions``, and
+            how the pixel at hand moves, two numbers.
+        sums: (SUMS,) overwritten.
+        hessian: (D + 2, D + 2) zeros; its upper triangle receives the sum.
+        clusters: (tiles, D + 2) zeros, receives the gradient of each tile.
     """
     height, width = inverse_depth.shape
     unknowns = len(axes)
-    count = unknowns + 2
-    turning, shifting = np.zeros((unknowns, 3)), np.empty((unknowns, 3))
-    _set_motions(rotation, lever, axes, turns, turning, shifting)
-    along = np.empty((unknowns, 2))
-    sums = np.empty(SUMS)
+    _set_motions(rotation, lever, axes, turns, motions)
     for y in range(1, height - 1):
         tile_row = y * tiles_across // height * tiles_across
         for x in range(1, width - 1):
@@ -224,19 +176,19 @@ def normal_equations(
             ray_y = (y - intrinsics[3]) / intrinsics[1]
             nearness = np.float64(inverse_depth[y, x])
             for k in range(unknowns):
-                wx, wy, wz = turning[k, 0], turning[k, 1], turning[k, 2]
-                depth_step = wx * ray_y - wy * ray_x + nearness * shifting[k, 2]
-                x_step = wy - wz * ray_y + nearness * shifting[k, 0]
-                y_step = wz * ray_x - wx + nearness * shifting[k, 1]
-                along[k, 0] = intrinsics[0] * (x_step - ray_x * depth_step)
-                along[k, 1] = intrinsics[1] * (y_step - ray_y * depth_step)
+                wx, wy, wz = motions[k, 0], motions[k, 1], motions[k, 2]
+                depth_step = wx * ray_y - wy * ray_x + nearness * motions[k, 5]
+                x_step = wy - wz * ray_y + nearness * motions[k, 3]
+                y_step = wz * ray_x - wx + nearness * motions[k, 4]
+                motions[k, 6] = intrinsics[0] * (x_step - ray_x * depth_step)
+                motions[k, 7] = intrinsics[1] * (y_step - ray_y * depth_step)
             tile = tile_row + x * tiles_across // width
             for k in range(unknowns):
-                ax, ay = along[k, 0], along[k, 1]
+                ax, ay = motions[k, 6], motions[k, 7]
                 by_x, by_y = sums[0] * ax + sums[1] * ay, sums[1] * ax + sums[2] * ay
                 clusters[tile, k] += sums[3] * ax + sums[4] * ay
                 for other in range(k, unknowns):
-                    hessian[k, other] += by_x * along[other, 0] + by_y * along[other, 1]
+                    hessian[k, other] += by_x * motions[other, 6] + by_y * motions[other, 7]
                 hessian[k, unknowns] += sums[5] * ax + sums[6] * ay
                 hessian[k, unknowns + 1] += sums[7] * ax + sums[8] * ay
             clusters[tile, unknowns] += sums[9]
@@ -244,9 +196,6 @@ def normal_equations(
             hessian[unknowns, unknowns] += sums[11]
             hessian[unknowns, unknowns + 1] += sums[12]
             hessian[unknowns + 1, unknowns + 1] += sums[13]
-    for k in range(count):
-        for other in range(k):
-            hessian[k, other] = hessian[other, k]
 
 
 @compiled_leaf
@@ -255,8 +204,7 @@ def _set_motions(
     lever: FloatArray,
     axes: FloatArray,
     turns: BoolArray,
-    turning: FloatArray,
-    shifting: FloatArray,
+    motions: FloatArray,
 ) -> None:
     """Writes how surface points move against the camera for each unknown, in its axes.
 
@@ -268,8 +216,8 @@ def _set_motions(
         lever: see there.
         axes: see there.
         turns: see there.
-        turning: (D, 3) receives w; zero for shifts.
-        shifting: (D, 3) receives t.
+        motions: (D, MOTION_NUMBERS) whose first three numbers receive w, which is zero for shifts,
+            and the next three t.
     """
     for k in range(len(axes)):
         for i in range(3):
@@ -279,8 +227,8 @@ def _set_motions(
                 # The cross product of axis and lever.
                 p, q = (j + 1) % 3, (j + 2) % 3
                 arm += rotation[j, i] * (axes[k, p] * lever[q] - axes[k, q] * lever[p])
-            turning[k, i] = own if turns[k] else 0.0
-            shifting[k, i] = arm if turns[k] else own
+            motions[k, i] = own if turns[k] else 0.0
+            motions[k, 3 + i] = arm if turns[k] else own
 
 
 @compiled_leaf

@@ -3,10 +3,10 @@
 import numpy as np
 
 from pipelines.artifacts.array_types import FloatArray
-from pipelines.lightfield.compiled import compiled
+from pipelines.lightfield.compiled import compiled_kernel
 
 
-@compiled
+@compiled_kernel
 def log_mixture_density(
     positions: FloatArray,
     centres: FloatArray,
@@ -14,6 +14,7 @@ def log_mixture_density(
     log_weights: FloatArray,
     position_sigma: float,
     angle_sigma: float,
+    exponents: FloatArray,
     result: FloatArray,
 ) -> None:
     """Logarithm of a sum of isotropic normal distributions, but for their common factor.
@@ -25,9 +26,9 @@ def log_mixture_density(
         log_weights: (N,) of the distributions; -inf is a weight of 0.
         position_sigma: metres.
         angle_sigma: radians.
+        exponents: (N,) overwritten.
         result: (M,) receives the logarithms; -inf where all weights are 0.
     """
-    exponents = np.empty(len(centres))
     position_scale, angle_scale = 0.5 / position_sigma**2, 0.5 / angle_sigma**2
     for row in range(len(positions)):
         largest = -np.inf

@@ -90,6 +90,7 @@ class Prediction:
             self.log_weights,
             position_sigma,
             angle_sigma,
+            np.empty(len(self.centres)),
             densities,
         )
         normal = positions * math.log(position_sigma) + angles * math.log(angle_sigma)

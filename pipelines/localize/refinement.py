@@ -24,11 +24,8 @@ from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray
 from pipelines.geometry.camera import Intrinsics
 from pipelines.lightfield.comparison import LARGEST_GAIN, prepared
 from pipelines.lightfield.renderer import RenderingWithSurface
-from pipelines.localize.alignment_kernels import (
-    fitted_brightness,
-    normal_equations,
-    robust_error,
-)
+from pipelines.localize.alignment_kernels import normal_equations, robust_error
+from pipelines.localize.brightness_kernels import fitted_brightness
 from pipelines.localize.observation import Observation
 from pipelines.localize.state_space import StateSpace
 
@@ -131,9 +128,7 @@ class _Level:
         body = self.space.poses(state)
         camera = body @ self.body_from_camera
         axes, turns = _unknowns(self.space)
-        count = len(axes) + 2
-        hessian, clusters = np.zeros((count, count)), np.zeros((TILES_ACROSS**2, count))
-        normal_equations(
+        hessian, clusters = normal_equations(
             view.rgba,
             view.inverse_depth,
             self.target,
@@ -146,8 +141,6 @@ class _Level:
             axes,
             turns,
             TILES_ACROSS,
-            hessian,
-            clusters,
         )
         d = self.space.dimension
         elimination = hessian[:d, d:] @ np.linalg.pinv(hessian[d:, d:])
