@@ -13,9 +13,12 @@ from typing import Any
 from numba.core import codegen, compiler, compiler_machinery, typed_passes, types
 from numba.extending import models, register_model
 
+from pipelines.lightfield.element_lowering import KernelLowering
+
 # Numba's parts, of which it tells no types.
 _Library: Any = codegen.JITCodeLibrary
 _Compiler: Any = compiler.CompilerBase
+_Flags: Any = compiler.Flags
 _Lowering: Any = typed_passes.NativeLowering
 _Passes: Any = compiler_machinery.PassManager
 _register: Any = compiler_machinery.register_pass
@@ -27,7 +30,31 @@ _general_type: Any = types.unliteral
 ROOM = 1 << 17
 
 
-class KernelCompiler(_Compiler):  # type: ignore[misc]
+class KernelFlags(_Flags):  # type: ignore[misc]
+    """Numba's flags of a function, compared by what is set.
+
+    Numba compares them at each read of an array, and makes lists of all there are for it.
+    """
+
+    __slots__ = ()
+
+    def __hash__(self) -> int:
+        return hash(frozenset(self._values))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, KernelFlags) and bool(self._values == other._values)
+
+
+class _KernelCompiler(_Compiler):  # type: ignore[misc]
+    """Numba's compiler with these flags."""
+
+    def __init__(self, *arguments: Any) -> None:
+        typing, target, library, types_of, result, flags, variables = arguments
+        flags = KernelFlags(flags)
+        super().__init__(typing, target, library, types_of, result, flags, variables)
+
+
+class KernelCompiler(_KernelCompiler):
     """Numba's usual passes, in one large piece of memory, without looking for unused objects.
 
     So many objects are made that stay that looking for those that do not, in cycles, would take a
@@ -46,7 +73,7 @@ class KernelCompiler(_Compiler):  # type: ignore[misc]
 
     def define_pipelines(self) -> list[Any]:
         """The passes in their order."""
-        return [_usual_passes(self.state)]
+        return _passes_with(self.state, "kernel", _KernelLowering)
 
 
 def _call_with_room(work: Callable[..., object], argument: object) -> object:
@@ -56,7 +83,7 @@ def _call_with_room(work: Callable[..., object], argument: object) -> object:
 _call_with_room.__code__ = _call_with_room.__code__.replace(co_stacksize=ROOM)
 
 
-class StepCompiler(_Compiler):  # type: ignore[misc]
+class StepCompiler(_KernelCompiler):
     """Numba's usual passes, but for the one that makes machine code.
 
     A step may not raise anything.
@@ -64,11 +91,7 @@ class StepCompiler(_Compiler):  # type: ignore[misc]
 
     def define_pipelines(self) -> list[Any]:
         """The passes in their order."""
-        passes = _Passes("step")
-        for own, description in _usual_passes(self.state).passes:
-            passes.add_pass(_StepLowering if own is _Lowering else own, description)
-        passes.finalize()
-        return [passes]
+        return _passes_with(self.state, "step", _StepLowering)
 
 
 class StepType(types.Dispatcher):
@@ -93,9 +116,30 @@ class _StepLibrary(_Library):  # type: ignore[misc]
         self._finalized = True
 
 
+def _passes_with(state: Any, name: str, lowering: type[Any]) -> list[Any]:
+    """The usual passes but for one."""
+    passes = _Passes(name)
+    for own, description in _usual_passes(state).passes:
+        passes.add_pass(lowering if own is _Lowering else own, description)
+    passes.finalize()
+    return [passes]
+
+
 @_register(mutates_CFG=True, analysis_only=False)
-class _StepLowering(_Lowering):  # type: ignore[misc]
-    """Numba's last pass but one, into a library of the kind above."""
+class _KernelLowering(_Lowering):  # type: ignore[misc]
+    """Numba's last pass but one, with elements of arrays in few instructions."""
+
+    _name = "kernel_lowering"
+
+    @property
+    def lowering_class(self) -> type[Any]:
+        """What translates."""
+        return KernelLowering
+
+
+@_register(mutates_CFG=True, analysis_only=False)
+class _StepLowering(_KernelLowering):
+    """The same into a library of the kind above."""
 
     _name = "step_lowering"
 
