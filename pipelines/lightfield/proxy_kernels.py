@@ -17,12 +17,18 @@ from pipelines.lightfield.proxy import (
 )
 from pipelines.lightfield.splat_kernels import (
     ELSEWHERE,
+    HALF,
+    ONE,
     TOGETHER,
+    ZERO,
     DepthSamples,
     depth_samples,
     splat,
 )
 from pipelines.lightfield.views import ViewArrays
+
+FACTOR, NEIGHBOURS = np.float32(PINHOLE_FACTOR), np.float32(PINHOLE_NEIGHBOURS)
+EDGE, NEVER = np.float32(EDGE_FACTOR), np.float32(np.inf)
 
 
 @compiled_step
@@ -56,32 +62,31 @@ class SurfaceRoom(NamedTuple):
     """Memory for the surface from depth maps in images of one size, over a mesh of h x w corners.
 
     Attributes:
-        corners: ``(h w + ELSEWHERE,)`` inverse depths of the mesh, row by row, and what lies
-            outside.
-        padded: ``(h + 2, w + 2)`` the mesh with a border.
-        mesh: ``(h, w)`` as it is in the end.
+        corners: ``((h + 2) (w + 2) + ELSEWHERE,)`` inverse depths of the mesh with a border, row by
+            row, and what lies outside.
+        mesh: ``(h + 1, w + 1)`` as it is in the end; the last row and column are there twice.
         empty: ``(h w,)`` corners without a depth, and
         filled: ``(h w,)`` what they are given.
-        lefts: ``(W,)`` the corner on the left of each column, and
+        edges: ``(3 w,)`` values between two rows of corners: on the left of each cell, how they
+            change towards its right, and how much there they jump instead.
+        lefts: ``(W,)`` int32 the corner on the left of each column, and
         shares: ``(W,)`` how far the column is from it to the next.
         matrix: ``(3, 4)`` world points to homogeneous virtual pixels.
-        costs: ``(SOURCE_VIEWS,)`` how far views are away.
-        numbers: ``(16,)``, and
+        numbers: ``(12,)``, and
         scratch: ``(TOGETHER,)``, and
         cells: ``(TOGETHER,)`` int32; see ``splat_kernels``.
     """
 
-    corners: FloatArray
-    padded: FloatArray
-    mesh: FloatArray
+    corners: Float32Array
+    mesh: Float32Array
     empty: IntArray
-    filled: FloatArray
-    lefts: IntArray
-    shares: FloatArray
+    filled: Float32Array
+    edges: Float32Array
+    lefts: Int32Array
+    shares: Float32Array
     matrix: FloatArray
-    costs: FloatArray
-    numbers: FloatArray
-    scratch: FloatArray
+    numbers: Float32Array
+    scratch: Float32Array
     cells: Int32Array
 
 
@@ -90,22 +95,21 @@ def surface_room_for(width: int, height: int, spacing: float) -> SurfaceRoom:
     """Memory for images of one size and corners that are so many pixels apart."""
     rows = int(np.ceil((height - 1) / spacing)) + 1
     columns = int(np.ceil((width - 1) / spacing)) + 1
-    lefts, shares = np.empty(width, np.int64), np.empty(width)
+    lefts, shares = np.empty(width, np.int32), np.empty(width, np.float32)
     for column in range(width):
         lefts[column] = min(int(column / spacing), columns - 1)
         shares[column] = column / spacing - lefts[column]
     return SurfaceRoom(
-        np.empty(rows * columns + ELSEWHERE),
-        np.zeros((rows + 2, columns + 2)),
-        np.empty((rows, columns)),
+        np.empty((rows + 2) * (columns + 2) + ELSEWHERE, np.float32),
+        np.empty((rows + 1, columns + 1), np.float32),
         np.empty(rows * columns, np.int64),
-        np.empty(rows * columns),
+        np.empty(rows * columns, np.float32),
+        np.empty(3 * columns, np.float32),
         lefts,
         shares,
         np.empty((3, 4)),
-        np.empty(SOURCE_VIEWS),
-        np.empty(16),
-        np.empty(TOGETHER),
+        np.empty(12, np.float32),
+        np.empty(TOGETHER, np.float32),
         np.empty(TOGETHER, np.int32),
     )
 
@@ -179,7 +183,7 @@ def _depth_surface(
         )
     for i in range(len(corners)):
         corners[i] = 0.0
-    height, columns = len(room.mesh), room.mesh.shape[1]
+    height, width = len(room.mesh) - 1, room.mesh.shape[1] - 1
     for number in range(SOURCE_VIEWS):
         if sources[number] < 0:
             break
@@ -194,50 +198,53 @@ def _depth_surface(
             room.cells,
             corners,
             height,
-            columns,
+            width,
         )
-    _leave_out_pinholes(room)
+    for row in range(height):
+        _keep_solid(corners, np.uintp(row), np.uintp(width), room.mesh[row])
     _close(room)
-    _interpolate(room, spacing, surface)
-
-
-@compiled_leaf
-def _leave_out_pinholes(room: SurfaceRoom) -> None:
-    """Writes the mesh without corners that show the background between foreground points."""
-    height, width = room.mesh.shape
-    padded = room.padded
     for row in range(height):
-        for column in range(width):
-            padded[row + 1, column + 1] = room.corners[row * width + column]
-    for row in range(height):
-        _keep_solid(padded[row], padded[row + 1], padded[row + 2], room.mesh[row])
+        room.mesh[row, width] = room.mesh[row, width - 1]
+    for column in range(width + 1):
+        room.mesh[height, column] = room.mesh[height - 1, column]
+    for row in range(surface.shape[0]):
+        y = row / spacing
+        top = min(int(y), height - 1)
+        _set_edges(room.mesh[top], room.mesh[top + 1], np.float32(y - top), room.edges)
+        _interpolate(room, surface[row])
 
 
 @compiled_loop
-def _keep_solid(above: FloatArray, own: FloatArray, below: FloatArray, result: FloatArray) -> None:
-    """Writes a row (w,) without its pinholes.
+def _keep_solid(
+    corners: Float32Array, row: np.uintp, width: np.uintp, result: Float32Array
+) -> None:
+    """Writes a row of the mesh without corners that show the background between foreground points.
 
     Args:
-        above: (w + 2,) the row above, with a 0 at both ends; so are the next two.
-        own: the row.
-        below: the row below.
-        result: receives the row.
+        corners: ((h + 2) * (w + 2) + ELSEWHERE,) the mesh with a border of zeros.
+        row: which.
+        width: of the mesh.
+        result: (w + 1,) receives the row.
     """
-    for i in range(len(result)):
-        limit = PINHOLE_FACTOR * own[i + 1]
-        nearer = 1.0 if own[i] > limit else 0.0
-        nearer += 1.0 if own[i + 2] > limit else 0.0
-        for column in range(3):
-            nearer += 1.0 if above[i + column] > limit else 0.0
-            nearer += 1.0 if below[i + column] > limit else 0.0
-        result[i] = 0.0 if nearer >= PINHOLE_NEIGHBOURS else own[i + 1]
+    above = row * (width + np.uintp(2))
+    own = above + width + np.uintp(2)
+    below = own + width + np.uintp(2)
+    for i in range(width):
+        value = corners[own + i + np.uintp(1)]
+        limit = FACTOR * value
+        nearer = ONE if corners[own + i] > limit else ZERO
+        nearer += ONE if corners[own + i + np.uintp(2)] > limit else ZERO
+        for column in range(np.uintp(3)):
+            nearer += ONE if corners[above + i + column] > limit else ZERO
+            nearer += ONE if corners[below + i + column] > limit else ZERO
+        result[i] = ZERO if nearer >= NEIGHBOURS else value
 
 
 @compiled_leaf
 def _close(room: SurfaceRoom) -> None:
     """Fills empty corners from the farthest known neighbour."""
     mesh, empty, filled = room.mesh, room.empty, room.filled
-    height, width = mesh.shape
+    height, width = len(mesh) - 1, mesh.shape[1] - 1
     # Only the empty corners are looked at again in each round.
     count = 0
     for row in range(height):
@@ -250,7 +257,7 @@ def _close(room: SurfaceRoom) -> None:
         rounds -= 1
         for number in range(count):
             row, column = empty[number] // width, empty[number] % width
-            smallest = np.inf
+            smallest = NEVER
             for i in range(max(row - 1, 0), min(row + 2, height)):
                 for j in range(max(column - 1, 0), min(column + 2, width)):
                     if mesh[i, j] > 0.0:
@@ -258,7 +265,7 @@ def _close(room: SurfaceRoom) -> None:
             filled[number] = smallest
         left = 0
         for number in range(count):
-            if filled[number] < np.inf:
+            if filled[number] < NEVER:
                 mesh[empty[number] // width, empty[number] % width] = filled[number]
             else:
                 empty[left] = empty[number]
@@ -268,35 +275,43 @@ def _close(room: SurfaceRoom) -> None:
         count = left
 
 
-@compiled_leaf
-def _interpolate(room: SurfaceRoom, spacing: float, surface: Float32Array) -> None:
-    """Bilinear between corners of one surface; across an edge, or a gap, the nearest corner."""
-    mesh, lefts, shares = room.mesh, room.lefts, room.shares
-    a, b, c, d = 0.0, 0.0, 0.0, 0.0
-    is_smooth = False
-    for row in range(surface.shape[0]):
-        y = row / spacing
-        top = min(int(y), mesh.shape[0] - 1)
-        bottom = min(top + 1, mesh.shape[0] - 1)
-        fy = y - top
-        cell = -1
-        for column in range(surface.shape[1]):
-            left, fx = lefts[column], shares[column]
-            if left != cell:
-                cell = left
-                right = min(left + 1, mesh.shape[1] - 1)
-                a, b = mesh[top, left], mesh[top, right]
-                c, d = mesh[bottom, left], mesh[bottom, right]
-                lowest = min(a, b, c, d)
-                is_smooth = lowest > 0.0 and max(a, b, c, d) <= EDGE_FACTOR * lowest
-            if is_smooth:
-                surface[row, column] = (a * (1 - fx) + b * fx) * (1 - fy) + (
-                    c * (1 - fx) + d * fx
-                ) * fy
-            elif fy < 0.5:
-                surface[row, column] = a if fx < 0.5 else b
-            else:
-                surface[row, column] = c if fx < 0.5 else d
+@compiled_loop
+def _set_edges(
+    upper: Float32Array, lower: Float32Array, share: np.float32, edges: Float32Array
+) -> None:
+    """Writes the values of a row of pixels between two rows of corners.
+
+    Bilinear between corners of one surface; across an edge, or a gap, the nearest corner.
+
+    Args:
+        upper: (w + 1,) corners above, and
+        lower: below.
+        share: how far the pixels are from these to those.
+        edges: (3 w,) see ``SurfaceRoom``.
+    """
+    width = np.uintp(len(edges) // 3)
+    step = ONE if share >= HALF else ZERO
+    for i in range(width):
+        a, b = upper[i], upper[i + np.uintp(1)]
+        c, d = lower[i], lower[i + np.uintp(1)]
+        lowest = min(a, b, c, d)
+        is_smooth = (lowest > ZERO) & (max(a, b, c, d) <= EDGE * lowest)
+        down = share if is_smooth else step
+        left, right = a + (c - a) * down, b + (d - b) * down
+        edges[i] = left
+        edges[width + i] = right - left if is_smooth else ZERO
+        edges[width + width + i] = ZERO if is_smooth else right - left
+
+
+@compiled_loop
+def _interpolate(room: SurfaceRoom, surface: Float32Array) -> None:
+    """Writes a row (W,) of the surface, whose edges are set."""
+    edges, lefts, shares = room.edges, room.lefts, room.shares
+    width = np.uintp(len(edges) // 3)
+    for i in range(np.uintp(len(surface))):
+        left, share = np.uintp(lefts[i]), shares[i]
+        jump = edges[width + width + left] if share >= HALF else ZERO
+        surface[i] = edges[left] + edges[width + left] * share + jump
 
 
 @compiled
@@ -311,9 +326,41 @@ def plane_surfaces(
 
 
 @compiled
-def depth_surfaces(
+def sample_depths(
     views: ViewArrays,
     usual_inverse_depth: float,
+    poses: FloatArray,
+    intrinsics: FloatArray,
+    spacing: float,
+) -> tuple[IntArray, DepthSamples]:
+    """What is projected of the depth maps into B virtual images.
+
+    Args:
+        views: the light field.
+        usual_inverse_depth: the median of all depth maps.
+        poses: (B, 4, 4) world_from_camera.
+        intrinsics: (4,) fx, fy, cx, cy.
+        spacing: of the mesh's corners, virtual pixels.
+
+    Returns:
+        (B, SOURCE_VIEWS) the views whose depth maps make each image's surface, -1 behind the last;
+        and samples of them all.
+    """
+    sources = np.full((len(poses), SOURCE_VIEWS), -1, np.int64)
+    is_source, costs = np.zeros(len(views.centres), np.bool_), np.empty(SOURCE_VIEWS)
+    for index in range(len(poses)):
+        own = sources[index]
+        for number in range(_choose_sources(views, usual_inverse_depth, poses[index], costs, own)):
+            is_source[own[number]] = True
+    focal = 0.5 * (intrinsics[0] + intrinsics[1])
+    return sources, depth_samples(views, is_source, focal, spacing)
+
+
+@compiled
+def depth_surfaces(
+    views: ViewArrays,
+    samples: DepthSamples,
+    sources: IntArray,
     poses: FloatArray,
     intrinsics: FloatArray,
     spacing: float,
@@ -323,23 +370,14 @@ def depth_surfaces(
 
     Args:
         views: the light field.
-        usual_inverse_depth: the median of all depth maps.
+        samples: of its depth maps, and
+        sources: (B, SOURCE_VIEWS); see ``sample_depths``.
         poses: (B, 4, 4) world_from_camera.
         intrinsics: (4,) fx, fy, cx, cy.
         spacing: of the mesh's corners, virtual pixels.
         surfaces: (B, H, W) receives the inverse depths.
     """
     room = surface_room_for(surfaces.shape[2], surfaces.shape[1], spacing)
-    sources = np.full((len(poses), SOURCE_VIEWS), -1, np.int64)
-    is_source = np.zeros(len(views.centres), np.bool_)
-    for index in range(len(poses)):
-        own = sources[index]
-        for number in range(
-            _choose_sources(views, usual_inverse_depth, poses[index], room.costs, own)
-        ):
-            is_source[own[number]] = True
-    focal = 0.5 * (intrinsics[0] + intrinsics[1])
-    samples = depth_samples(views, is_source, focal, spacing)
     for index in range(len(poses)):
         _depth_surface(
             views,

@@ -23,7 +23,7 @@ from pipelines.lightfield.comparison import Cost, prepared
 from pipelines.lightfield.devices import Device, chosen_gpu
 from pipelines.lightfield.kernels import NO_COMPARISON, render_nets, render_tiles
 from pipelines.lightfield.proxy import Quality, cell_size, usual_inverse_depth
-from pipelines.lightfield.proxy_kernels import depth_surfaces, plane_surfaces
+from pipelines.lightfield.proxy_kernels import depth_surfaces, plane_surfaces, sample_depths
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.view_index import build_index
 from pipelines.lightfield.views import Views, views_of_scene, without_depth
@@ -240,11 +240,13 @@ class Renderer:
             chosen = np.flatnonzero(target[..., 3]).astype(np.int32)
             target = np.ascontiguousarray(target.reshape(1, -1, 4)[:, chosen])
 
+        surfaces = self._surfaces(poses, intrinsics)
+        vector, kind = intrinsics.vector(), int(cost)
+
         def score(part: slice) -> None:
             image = np.empty((1, *target.shape), dtype=np.float32)
-            self._render(
-                poses[part], intrinsics, chosen, target, int(cost), fit_gain, image, costs[part]
-            )
+            own, result = surfaces(part), costs[part]
+            self._render(poses[part], vector, own, chosen, target, kind, fit_gain, image, result)
 
         pixels = intrinsics.width * intrinsics.height
         together = max(1, min(POSES_TOGETHER, SURFACE_PIXELS_TOGETHER // pixels))
@@ -265,35 +267,52 @@ class Renderer:
         images = np.empty((*shape, 4), dtype=np.float32)
         no_query, no_costs = np.empty((0, 0, 4), dtype=np.float32), np.empty(0)
         chosen = every_pixel(intrinsics)
-        surfaces = self._render(
-            poses, intrinsics, chosen, no_query, NO_COMPARISON, False, images, no_costs
-        )
+        surfaces = self._surfaces(poses, intrinsics)(slice(None))
+        vector, kind = intrinsics.vector(), NO_COMPARISON
+        self._render(poses, vector, surfaces, chosen, no_query, kind, False, images, no_costs)
         return images, surfaces
+
+    def _surfaces(
+        self, poses: FloatArray, intrinsics: Intrinsics
+    ) -> Callable[[slice], Float32Array]:
+        """What makes the surfaces ``(B, H, W)`` that are seen from some of the poses."""
+        vector, size = intrinsics.vector(), (intrinsics.height, intrinsics.width)
+        if self.quality is Quality.PLANE:
+
+            def of_plane(part: slice) -> Float32Array:
+                surfaces = np.empty((len(poses[part]), *size), dtype=np.float32)
+                plane_surfaces(poses[part], vector, self.plane.coefficients(), surfaces)
+                return surfaces
+
+            return of_plane
+        arrays, usual = self.views.arrays, self._usual_inverse_depth
+        spacing = float(cell_size(self.views, intrinsics, self.quality))
+        sources, samples = sample_depths(arrays, usual, poses, vector, spacing)
+
+        def of_depths(part: slice) -> Float32Array:
+            surfaces = np.empty((len(poses[part]), *size), dtype=np.float32)
+            depth_surfaces(arrays, samples, sources[part], poses[part], vector, spacing, surfaces)
+            return surfaces
+
+        return of_depths
 
     def _render(
         self,
         poses: FloatArray,
-        intrinsics: Intrinsics,
+        intrinsics: FloatArray,
+        surfaces: Float32Array,
         chosen: Int32Array,
         query: Float32Array,
         kind: int,
         fit_gain: bool,
         images: Float32Array,
         costs: FloatArray,
-    ) -> Float32Array:
-        """Renders and compares, see ``kernels.render_tiles``; returns the surfaces."""
-        vector = intrinsics.vector()
-        surfaces = np.empty((len(poses), intrinsics.height, intrinsics.width), dtype=np.float32)
-        if self.quality is Quality.PLANE:
-            plane_surfaces(poses, vector, self.plane.coefficients(), surfaces)
-        else:
-            spacing = float(cell_size(self.views, intrinsics, self.quality))
-            usual = self._usual_inverse_depth
-            depth_surfaces(self.views.arrays, usual, poses, vector, spacing, surfaces)
+    ) -> None:
+        """Renders and compares, see ``kernels.render_tiles``."""
         render = render_nets if self._field.is_net else render_tiles
-        space = workspace_for(self._field, intrinsics.width, intrinsics.height, chosen)
-        render(self._field, poses, vector, surfaces, space, query, kind, fit_gain, images, costs)
-        return surfaces
+        space = workspace_for(self._field, surfaces.shape[2], surfaces.shape[1], chosen)
+        field = self._field
+        render(field, poses, intrinsics, surfaces, space, query, kind, fit_gain, images, costs)
 
     def _run(self, work: Callable[[slice], None], count: int, most: int) -> None:
         """Does work on all of so many poses: at most so many in one call, some for every thread."""

@@ -16,12 +16,13 @@ from pipelines.lightfield.proxy import SAMPLES_PER_CELL
 from pipelines.lightfield.views import ViewArrays
 
 # Samples that are worked on together; always so many, so that none are left over.
-TOGETHER = 128
+TOGETHER = 256
 # Behind the mesh, what lies outside goes to so many places by turns: numbers that are written to
 # one place, one after the other, wait for each other.
 ELSEWHERE = 16
 # Points nearer to the camera's plane than this share of their recorded depth are left out.
-SMALLEST_DEPTH = 1e-9
+SMALLEST_DEPTH = np.float32(1e-9)
+HALF, ONE, ZERO = np.float32(0.5), np.float32(1.0), np.float32(0.0)
 
 
 class DepthSamples(NamedTuple):
@@ -29,7 +30,7 @@ class DepthSamples(NamedTuple):
 
     Attributes:
         starts: ``(N + 1,)`` where each view's samples begin.
-        columns: ``(S + TOGETHER,)`` in the depth map, and
+        columns: ``(S + TOGETHER,)`` in the depth map, from its middle, and
         rows: likewise, and
         inverse_depth: likewise, positive.
     """
@@ -76,7 +77,9 @@ def depth_samples(
             for column in range(0, width, strides[view]):
                 value = views.inverse_depth[views.depth_start[view] + row * width + column]
                 if value > 0.0:
-                    columns[found], rows[found], inverse_depth[found] = column, row, value
+                    columns[found] = column + 0.5 - 0.5 * width
+                    rows[found] = row + 0.5 - 0.5 * height
+                    inverse_depth[found] = value
                     found += 1
         starts[view + 1] = found
     return DepthSamples(starts, columns, rows, inverse_depth)
@@ -89,12 +92,12 @@ def splat(
     view: int,
     matrix: FloatArray,
     spacing: float,
-    numbers: FloatArray,
-    scratch: FloatArray,
+    numbers: Float32Array,
+    scratch: Float32Array,
     cells: Int32Array,
-    corners: FloatArray,
+    corners: Float32Array,
     height: int,
-    columns: int,
+    width: int,
 ) -> None:
     """Projects one depth map into the virtual image; of points in one cell the nearest stays.
 
@@ -104,26 +107,32 @@ def splat(
         view: whose depth map.
         matrix: (3, 4) world points to homogeneous virtual pixels.
         spacing: of the mesh's corners, virtual pixels.
-        numbers: (16,) overwritten.
+        numbers: (12,) overwritten.
         scratch: (TOGETHER,) overwritten.
         cells: (TOGETHER,) int32, overwritten.
-        corners: (height * columns + ELSEWHERE,) inverse depths at the mesh's corners, and what lies
-            outside; changed.
+        corners: ((height + 2) * (width + 2) + ELSEWHERE,) inverse depths at the mesh's corners with
+            a border, and what lies outside; changed.
         height: rows of the mesh.
-        columns: of the mesh.
+        width: of the mesh.
     """
-    numbers[12] = views.level_size[view, 0, 0] / views.depth_size[view, 0]
-    numbers[13] = views.level_size[view, 0, 1] / views.depth_size[view, 1]
+    full_width, full_height = views.level_size[view, 0, 0], views.level_size[view, 0, 1]
+    scale_x, scale_y = (
+        full_width / views.depth_size[view, 0],
+        full_height / views.depth_size[view, 1],
+    )
+    middle_x, middle_y = 0.5 * (full_width - 1), 0.5 * (full_height - 1)
     for i in range(3):
         # Columns and rows of the mesh.
         scale = 1.0 / spacing if i < 2 else 1.0
-        numbers[9 + i] = scale * matrix[i, 3]
-        for j in range(3):
-            numbers[3 * i + j] = 0.0
+        a, b, c, shift = 0.0, 0.0, 0.0, scale * matrix[i, 3]
         for k in range(3):
-            numbers[9 + i] += scale * matrix[i, k] * views.centres[view, k]
-            for j in range(3):
-                numbers[3 * i + j] += scale * matrix[i, k] * views.rays[view, k, j]
+            own = scale * matrix[i, k]
+            a += own * views.rays[view, k, 0]
+            b += own * views.rays[view, k, 1]
+            c += own * views.rays[view, k, 2]
+            shift += own * views.centres[view, k]
+        numbers[4 * i], numbers[4 * i + 1] = a * scale_x, b * scale_y
+        numbers[4 * i + 2], numbers[4 * i + 3] = a * middle_x + b * middle_y + c, shift
     for first in range(samples.starts[view], samples.starts[view + 1], TOGETHER):
         _place(
             samples.columns,
@@ -132,7 +141,7 @@ def splat(
             np.uintp(first),
             numbers,
             height,
-            columns,
+            width,
             scratch,
             cells,
         )
@@ -147,42 +156,45 @@ def _place(
     sample_rows: Float32Array,
     inverse_depth: Float32Array,
     first: np.uintp,
-    numbers: FloatArray,
+    numbers: Float32Array,
     height: int,
-    columns: int,
-    scratch: FloatArray,
+    width: int,
+    scratch: Float32Array,
     cells: Int32Array,
 ) -> None:
     """In which cells samples lie, and how near they are to the virtual camera.
+
+    From the middle of a depth map the numbers are small, and single precision is enough for them.
 
     Args:
         sample_columns: see ``DepthSamples``, and
         sample_rows: likewise, and
         inverse_depth: likewise.
         first: of the samples.
-        numbers: turn (3, 3), shift (3,), columns and rows of the view's finest level that one of
-            the depth map spans: a pixel p of that level at inverse depth d is at turn p + shift d.
+        numbers: (12,) three rows of turn and shift: a pixel p of the depth map, from its middle, at
+            inverse depth d is at turn p + shift d.
         height: rows of the mesh.
-        columns: of the mesh.
+        width: of the mesh.
         scratch: receives inverse depths in the virtual image.
         cells: receives the corners' indices; behind the mesh for what lies outside.
     """
-    t0, t1, t2, t3, t4 = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
-    t5, t6, t7, t8 = numbers[5], numbers[6], numbers[7], numbers[8]
-    s0, s1, s2, scale_x, scale_y = numbers[9], numbers[10], numbers[11], numbers[12], numbers[13]
-    right, bottom = np.float64(columns), np.float64(height)
-    outside, row_length = np.int32(height * columns), np.int32(columns)
+    t0, t1, t2, s0 = numbers[0], numbers[1], numbers[2], numbers[3]
+    t3, t4, t5, s1 = numbers[4], numbers[5], numbers[6], numbers[7]
+    t6, t7, t8, s2 = numbers[8], numbers[9], numbers[10], numbers[11]
+    right, bottom = np.float32(width), np.float32(height)
+    row_length, start = np.int32(width + 2), np.int32(width + 3)
+    outside = np.int32((height + 2) * (width + 2))
     for i in range(np.uintp(TOGETHER)):
-        value = np.float64(inverse_depth[first + i])
-        x = (np.float64(sample_columns[first + i]) + 0.5) * scale_x - 0.5
-        y = (np.float64(sample_rows[first + i]) + 0.5) * scale_y - 0.5
+        x, y, value = sample_columns[first + i], sample_rows[first + i], inverse_depth[first + i]
         depth = t6 * x + t7 * y + t8 + value * s2
-        reciprocal = 1.0 / depth
-        u = (t0 * x + t1 * y + t2 + value * s0) * reciprocal + 0.5
-        v = (t3 * x + t4 * y + t5 + value * s1) * reciprocal + 0.5
+        reciprocal = ONE / depth
+        u = (t0 * x + t1 * y + t2 + value * s0) * reciprocal + HALF
+        v = (t3 * x + t4 * y + t5 + value * s1) * reciprocal + HALF
         is_inside = depth > SMALLEST_DEPTH
-        is_inside &= (u >= 0.0) & (u < right) & (v >= 0.0) & (v < bottom)
-        column, row = np.int32(u if is_inside else 0.0), np.int32(v if is_inside else 0.0)
-        cell, turn = np.int32(row * row_length) + column, np.int32(i) & np.int32(ELSEWHERE - 1)
-        cells[i] = cell if is_inside else outside + turn
-        scratch[i] = value * reciprocal if is_inside else 0.0
+        is_inside &= (u >= ZERO) & (u < right) & (v >= ZERO) & (v < bottom)
+        column, row = np.int32(u if is_inside else ZERO), np.int32(v if is_inside else ZERO)
+        # Sums of two numbers of 32 bits would take 64.
+        cell = np.int32(np.int32(row * row_length) + np.int32(column + start))
+        elsewhere = np.int32(outside + np.int32(np.int32(i) & np.int32(ELSEWHERE - 1)))
+        cells[i] = cell if is_inside else elsewhere
+        scratch[i] = value * reciprocal if is_inside else ZERO

@@ -7,7 +7,7 @@ parametrics").
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -20,6 +20,8 @@ from pipelines.lightfield.record_type import compiled_record
 from pipelines.lightfield.scene import Scene
 
 SMALLEST_LEVEL_SIDE = 8
+# Side of the blocks of which a depth map's nearest values are kept.
+BLOCK_SIDE = 8
 
 
 @compiled_record
@@ -42,6 +44,9 @@ class ViewArrays(NamedTuple):
             0 where unknown; empty where there are none.
         depth_start: ``(N,)`` index of a view's first value.
         depth_size: ``(N, 2)`` width and height of each view's depth map; 0 where it has none.
+        blocks: ``(B,)`` the largest of each depth map's values in squares of ``BLOCK_SIDE``, row by
+            row; what they do not hide need not be looked up in the maps.
+        block_start: ``(N,)`` index of a view's first block.
     """
 
     texels: ImageArray
@@ -55,6 +60,8 @@ class ViewArrays(NamedTuple):
     inverse_depth: Float32Array
     depth_start: IntArray
     depth_size: IntArray
+    blocks: Float32Array
+    block_start: IntArray
 
 
 @dataclass(frozen=True)
@@ -111,7 +118,6 @@ def build_views(
         inverse_depths: N depth maps ``(h, w)`` of the same fields of view, of any size; 0: unknown.
     """
     texels, level_start, level_size = _packed_pyramids(images)
-    inverse_depth, depth_start, depth_size = _packed_depths(len(images), inverse_depths)
     matrices = np.stack([pinhole.matrix() for pinhole in intrinsics])
     arrays = ViewArrays(
         texels=texels,
@@ -122,9 +128,7 @@ def build_views(
         centres=np.ascontiguousarray(world_from_camera[:, :3, 3]),
         axes=np.ascontiguousarray(world_from_camera[:, :3, 2]),
         focal=np.array([0.5 * (pinhole.fx + pinhole.fy) for pinhole in intrinsics]),
-        inverse_depth=inverse_depth,
-        depth_start=depth_start,
-        depth_size=depth_size,
+        **_packed_depths(len(images), inverse_depths),
     )
     return Views(arrays, tuple(intrinsics))
 
@@ -154,37 +158,46 @@ def texels_beyond(widest: int) -> int:
     return widest + 2
 
 
-def _packed_depths(
-    count: int, inverse_depths: Sequence[Float32Array] | None
-) -> tuple[Float32Array, IntArray, IntArray]:
-    """Values, starts and sizes of all depth maps; see ``ViewArrays``."""
-    start, size = np.zeros(count, dtype=np.int64), np.zeros((count, 2), dtype=np.int64)
-    if inverse_depths is None:
-        return np.zeros(0, dtype=np.float32), start, size
-    position = 0
-    for view, depth in enumerate(inverse_depths):
-        start[view] = position
+def _packed_depths(count: int, inverse_depths: Sequence[Float32Array] | None) -> dict[str, Any]:
+    """Values, starts and sizes of all depth maps and their blocks; see ``ViewArrays``."""
+    size = np.zeros((count, 2), dtype=np.int64)
+    maps, blocks = [np.zeros((0, 0), dtype=np.float32)] * count, []
+    for view, depth in enumerate(inverse_depths or ()):
         size[view] = depth.shape[1], depth.shape[0]
-        position += depth.size
-    values = np.concatenate([depth.reshape(-1) for depth in inverse_depths]).astype(np.float32)
-    return values, start, size
+        maps[view] = depth
+    for depth in maps:
+        height, width = (-(-side // BLOCK_SIDE) for side in depth.shape)
+        margin = [(0, -side % BLOCK_SIDE) for side in depth.shape]
+        squares = np.pad(depth, margin).reshape(height, BLOCK_SIDE, width, BLOCK_SIDE)
+        blocks.append(squares.max(axis=(1, 3)))
+    return {
+        "inverse_depth": _in_one_row(maps),
+        "depth_start": _starts(maps),
+        "depth_size": size,
+        "blocks": _in_one_row(blocks),
+        "block_start": _starts(blocks),
+    }
+
+
+def _in_one_row(parts: Sequence[Float32Array]) -> Float32Array:
+    return np.concatenate([part.reshape(-1) for part in parts]).astype(np.float32)
+
+
+def _starts(parts: Sequence[Float32Array]) -> IntArray:
+    """Where each part begins when they stand in one row."""
+    sizes = np.array([part.size for part in parts], dtype=np.int64)
+    return np.asarray(np.cumsum(sizes) - sizes)
 
 
 def with_depth(views: Views, inverse_depths: Sequence[Float32Array]) -> Views:
     """The same photos with other depth maps, one a view; see ``build_views``."""
-    values, start, size = _packed_depths(len(views), inverse_depths)
-    arrays = views.arrays._replace(inverse_depth=values, depth_start=start, depth_size=size)
-    return Views(arrays, views.intrinsics)
+    packed = _packed_depths(len(views), inverse_depths)
+    return Views(views.arrays._replace(**packed), views.intrinsics)
 
 
 def without_depth(views: Views) -> Views:
     """The same photos as if they had no depth maps."""
-    arrays = views.arrays._replace(
-        inverse_depth=views.arrays.inverse_depth[:0],
-        depth_start=np.zeros_like(views.arrays.depth_start),
-        depth_size=np.zeros_like(views.arrays.depth_size),
-    )
-    return Views(arrays, views.intrinsics)
+    return Views(views.arrays._replace(**_packed_depths(len(views), None)), views.intrinsics)
 
 
 def without_view(views: Views, index: int) -> Views:
@@ -196,7 +209,7 @@ def without_view(views: Views, index: int) -> Views:
         **{
             name: np.ascontiguousarray(getattr(arrays, name)[kept])
             for name in arrays._fields
-            if name not in ("texels", "inverse_depth")
+            if name not in ("texels", "inverse_depth", "blocks")
         }
     )
     return Views(fewer, tuple(k for i, k in enumerate(views.intrinsics) if i != index))
