@@ -67,12 +67,13 @@ class SurfaceRoom(NamedTuple):
         mesh: ``(h + 1, w + 1)`` as it is in the end; the last row and column are there twice.
         empty: ``(h w,)`` corners without a depth, and
         filled: ``(h w,)`` what they are given.
-        edges: ``(3 w,)`` values between two rows of corners: on the left of each cell, how they
-            change towards its right, and how much there they jump instead.
-        lefts: ``(W,)`` int32 the corner on the left of each column, and
-        shares: ``(W,)`` how far the column is from it to the next.
+        edges: ``(4 w,)`` values between two rows of corners: on the left of each cell, on the right
+            of each, and twice, how much they change from there to here.
+        halves: ``(W,)`` int32 the side of a cell that each column is nearest to, and
+        offsets: ``(W,)`` how far away that is, as a share of the cell; to the left less than 0.
         matrix: ``(3, 4)`` world points to homogeneous virtual pixels.
         numbers: ``(12,)``, and
+        elsewhere: ``(TOGETHER,)``, and
         scratch: ``(TOGETHER,)``, and
         cells: ``(TOGETHER,)`` int32; see ``splat_kernels``.
     """
@@ -82,10 +83,11 @@ class SurfaceRoom(NamedTuple):
     empty: IntArray
     filled: Float32Array
     edges: Float32Array
-    lefts: Int32Array
-    shares: Float32Array
+    halves: Int32Array
+    offsets: Float32Array
     matrix: FloatArray
     numbers: Float32Array
+    elsewhere: Float32Array
     scratch: Float32Array
     cells: Int32Array
 
@@ -95,20 +97,26 @@ def surface_room_for(width: int, height: int, spacing: float) -> SurfaceRoom:
     """Memory for images of one size and corners that are so many pixels apart."""
     rows = int(np.ceil((height - 1) / spacing)) + 1
     columns = int(np.ceil((width - 1) / spacing)) + 1
-    lefts, shares = np.empty(width, np.int32), np.empty(width, np.float32)
+    halves, offsets = np.empty(width, np.int32), np.empty(width, np.float32)
     for column in range(width):
-        lefts[column] = min(int(column / spacing), columns - 1)
-        shares[column] = column / spacing - lefts[column]
+        left = min(int(column / spacing), columns - 1)
+        is_right = column / spacing - left >= 0.5
+        halves[column] = left + columns if is_right else left
+        offsets[column] = column / spacing - (left + 1 if is_right else left)
+    elsewhere = np.empty(TOGETHER, np.float32)
+    for number in range(TOGETHER):
+        elsewhere[number] = (rows + 2) * (columns + 2) + number % ELSEWHERE
     return SurfaceRoom(
         np.empty((rows + 2) * (columns + 2) + ELSEWHERE, np.float32),
         np.empty((rows + 1, columns + 1), np.float32),
         np.empty(rows * columns, np.int64),
         np.empty(rows * columns, np.float32),
-        np.empty(3 * columns, np.float32),
-        lefts,
-        shares,
+        np.empty(4 * columns, np.float32),
+        halves,
+        offsets,
         np.empty((3, 4)),
         np.empty(12, np.float32),
+        elsewhere,
         np.empty(TOGETHER, np.float32),
         np.empty(TOGETHER, np.int32),
     )
@@ -194,6 +202,7 @@ def _depth_surface(
             matrix,
             spacing,
             room.numbers,
+            room.elsewhere,
             room.scratch,
             room.cells,
             corners,
@@ -287,9 +296,9 @@ def _set_edges(
         upper: (w + 1,) corners above, and
         lower: below.
         share: how far the pixels are from these to those.
-        edges: (3 w,) see ``SurfaceRoom``.
+        edges: (4 w,) see ``SurfaceRoom``.
     """
-    width = np.uintp(len(edges) // 3)
+    width = np.uintp(len(edges) // 4)
     step = ONE if share >= HALF else ZERO
     for i in range(width):
         a, b = upper[i], upper[i + np.uintp(1)]
@@ -298,20 +307,19 @@ def _set_edges(
         is_smooth = (lowest > ZERO) & (max(a, b, c, d) <= EDGE * lowest)
         down = share if is_smooth else step
         left, right = a + (c - a) * down, b + (d - b) * down
-        edges[i] = left
-        edges[width + i] = right - left if is_smooth else ZERO
-        edges[width + width + i] = ZERO if is_smooth else right - left
+        slope = right - left if is_smooth else ZERO
+        edges[i], edges[width + i] = left, right
+        edges[width + width + i], edges[width + width + width + i] = slope, slope
 
 
 @compiled_loop
 def _interpolate(room: SurfaceRoom, surface: Float32Array) -> None:
     """Writes a row (W,) of the surface, whose edges are set."""
-    edges, lefts, shares = room.edges, room.lefts, room.shares
-    width = np.uintp(len(edges) // 3)
+    edges, halves, offsets = room.edges, room.halves, room.offsets
+    slopes = np.uintp(len(edges) // 2)
     for i in range(np.uintp(len(surface))):
-        left, share = np.uintp(lefts[i]), shares[i]
-        jump = edges[width + width + left] if share >= HALF else ZERO
-        surface[i] = edges[left] + edges[width + left] * share + jump
+        half = np.uintp(halves[i])
+        surface[i] = edges[half] + edges[slopes + half] * offsets[i]
 
 
 @compiled

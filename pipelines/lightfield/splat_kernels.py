@@ -93,6 +93,7 @@ def splat(
     matrix: FloatArray,
     spacing: float,
     numbers: Float32Array,
+    elsewhere: Float32Array,
     scratch: Float32Array,
     cells: Int32Array,
     corners: Float32Array,
@@ -108,6 +109,7 @@ def splat(
         matrix: (3, 4) world points to homogeneous virtual pixels.
         spacing: of the mesh's corners, virtual pixels.
         numbers: (12,) overwritten.
+        elsewhere: (TOGETHER,) places behind the mesh, by turns.
         scratch: (TOGETHER,) overwritten.
         cells: (TOGETHER,) int32, overwritten.
         corners: ((height + 2) * (width + 2) + ELSEWHERE,) inverse depths at the mesh's corners with
@@ -142,6 +144,7 @@ def splat(
             numbers,
             height,
             width,
+            elsewhere,
             scratch,
             cells,
         )
@@ -159,6 +162,7 @@ def _place(
     numbers: Float32Array,
     height: int,
     width: int,
+    elsewhere: Float32Array,
     scratch: Float32Array,
     cells: Int32Array,
 ) -> None:
@@ -175,6 +179,7 @@ def _place(
             inverse depth d is at turn p + shift d.
         height: rows of the mesh.
         width: of the mesh.
+        elsewhere: (TOGETHER,) where what lies outside goes.
         scratch: receives inverse depths in the virtual image.
         cells: receives the corners' indices; behind the mesh for what lies outside.
     """
@@ -182,8 +187,7 @@ def _place(
     t3, t4, t5, s1 = numbers[4], numbers[5], numbers[6], numbers[7]
     t6, t7, t8, s2 = numbers[8], numbers[9], numbers[10], numbers[11]
     right, bottom = np.float32(width), np.float32(height)
-    row_length, start = np.int32(width + 2), np.int32(width + 3)
-    outside = np.int32((height + 2) * (width + 2))
+    row_length, start = np.float32(width + 2), np.float32(width + 3)
     for i in range(np.uintp(TOGETHER)):
         x, y, value = sample_columns[first + i], sample_rows[first + i], inverse_depth[first + i]
         depth = t6 * x + t7 * y + t8 + value * s2
@@ -192,9 +196,7 @@ def _place(
         v = (t3 * x + t4 * y + t5 + value * s1) * reciprocal + HALF
         is_inside = depth > SMALLEST_DEPTH
         is_inside &= (u >= ZERO) & (u < right) & (v >= ZERO) & (v < bottom)
-        column, row = np.int32(u if is_inside else ZERO), np.int32(v if is_inside else ZERO)
-        # Sums of two numbers of 32 bits would take 64.
-        cell = np.int32(np.int32(row * row_length) + np.int32(column + start))
-        elsewhere = np.int32(outside + np.int32(np.int32(i) & np.int32(ELSEWHERE - 1)))
-        cells[i] = cell if is_inside else elsewhere
+        # Whole numbers, that single precision holds; sums of two of 32 bits would take 64.
+        cell = np.floor(v) * row_length + np.floor(u) + start
+        cells[i] = np.int32(cell if is_inside else elsewhere[i])
         scratch[i] = value * reciprocal if is_inside else ZERO
