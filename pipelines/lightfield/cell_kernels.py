@@ -203,14 +203,12 @@ def blend_cells(
                 has_depth,
                 pose,
                 focal,
+                field.views,
                 field.views.projection,
                 field.views.focal,
                 field.views.texels,
                 field.views.level_start,
                 field.views.level_size,
-                field.views.inverse_depth,
-                field.views.depth_start,
-                field.views.depth_size,
                 space.rays,
                 space.maps,
                 space.shifts,
@@ -234,14 +232,12 @@ def _blend_chunk(
     has_depth: bool,
     pose: FloatArray,
     focal: float,
+    views: ViewArrays,
     projection: FloatArray,
     focals: FloatArray,
     texels: ImageArray,
     level_start: IntArray,
     level_size: IntArray,
-    inverse_depth: Float32Array,
-    depth_start: IntArray,
-    depth_size: IntArray,
     rays: FloatArray,
     maps: FloatArray,
     shifts: FloatArray,
@@ -297,17 +293,7 @@ def _blend_chunk(
         )
         if here > 0:
             if has_depth:
-                leave_out_hidden(
-                    scratch,
-                    places,
-                    filled,
-                    inverse_depth,
-                    depth_start[view],
-                    depth_size[view, 0],
-                    depth_size[view, 1],
-                    full_width,
-                    full_height,
-                )
+                leave_out_hidden(views, view, scratch, filled, places)
             start, width = level_start[view, level], level_size[view, level, 0]
             add_samples(scratch, offsets, targets, count, texels, start, width, image)
         if elsewhere == 0:

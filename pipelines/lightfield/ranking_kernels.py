@@ -12,72 +12,37 @@ import numpy as np
 from pipelines.artifacts.array_types import Float32Array, FloatArray, Int32Array, IntArray
 from pipelines.lightfield.blending import (
     BORDER_PENALTY,
-    OCCLUSION_FACTOR,
     RESOLUTION_PENALTY,
     SMALLEST_MARGIN,
     SMALLEST_PENALTY,
     VIEWS_PER_CORNER,
 )
 from pipelines.lightfield.compiled import compiled_leaf, compiled_loop
+from pipelines.lightfield.occlusion_kernels import find_hidden
 from pipelines.lightfield.sorting_kernels import sort_indices
-from pipelines.lightfield.views import BLOCK_SIDE, ViewArrays
+from pipelines.lightfield.texel_intrinsic import LANES
+from pipelines.lightfield.views import ViewArrays
 
 # Points that are ranked together.
-POINTS = 16
+POINTS = LANES
 # Rows of the scratch: the point, the direction from the virtual centre to it, and one over its
 # distance from there; the smallest penalties so far, the last of which is only to compare with; the
-# penalty of the view at hand; its column and row there, and the point's inverse depth in it; what
-# the view's depth map has in its block.
+# penalty of the view at hand; its column and row there, the point's inverse depth in it, and
+# whether it is hidden from it.
 PX, PY, PZ, VX, VY, VZ, NEARNESS = range(0, 7 * POINTS, POINTS)
 BEST, OWN, COLUMN, ROW, INVERSE, SEEN = (POINTS * row for row in (7, 11, 12, 13, 14, 15))
 RANKING_SCRATCH = 16 * POINTS
 # Before anything is ranked, inverse depths stand where penalties will.
 DEPTH = np.uintp(OWN)
 RANKS = VIEWS_PER_CORNER + 1
-# Behind the best views: the points' blocks of the depth map of the view at hand.
-PLACE = RANKS * POINTS
-BEST_SIZE = PLACE + POINTS
 HALF, ONE, TWO, ZERO = np.float32(0.5), np.float32(1.0), np.float32(2.0), np.float32(0.0)
 NEVER = np.float32(np.inf)
 BORDER, MARGIN = np.float32(BORDER_PENALTY), np.float32(SMALLEST_MARGIN)
 RESOLUTION, SMALLEST = np.float32(RESOLUTION_PENALTY), np.float32(SMALLEST_PENALTY)
-HIDDEN, BLOCKS = np.float32(OCCLUSION_FACTOR), np.float32(1.0 / BLOCK_SIDE)
 # Bounds in single precision are smaller than they should be by less than this.
 ROUNDING = np.float32(1e-5)
 # Metres; what lies beyond is taken to be as far away as this. Single precision ends somewhere.
 FARTHEST = 1e7
-
-
-@compiled_leaf
-def is_occluded(
-    inverse_depth: Float32Array,
-    depth_start: IntArray,
-    depth_size: IntArray,
-    level_size: IntArray,
-    view: int,
-    u: float,
-    v: float,
-    own: float,
-) -> bool:
-    """Whether a view sees something nearer in the direction of a surface point.
-
-    Args:
-        inverse_depth: depth maps of all views; see ``ViewArrays``, as for the next three.
-        depth_start: where each begins.
-        depth_size: width and height of each.
-        level_size: of the photos.
-        view: which.
-        u: column of the point in the view's finest level, inside the image.
-        v: its row.
-        own: the point's inverse depth in the view.
-    """
-    width, height = depth_size[view, 0], depth_size[view, 1]
-    if width == 0:
-        return False
-    column = min(int((u + 0.5) * (width / level_size[view, 0, 0])), width - 1)
-    row = min(int((v + 0.5) * (height / level_size[view, 0, 1])), height - 1)
-    seen = np.float64(inverse_depth[depth_start[view] + row * width + column])
-    return bool(seen > OCCLUSION_FACTOR * own)
 
 
 @compiled_leaf
@@ -210,82 +175,32 @@ def _set_penalties(scratch: Float32Array, numbers: Float32Array, row: int) -> np
         is_better = is_shown & (own <= scratch[BEST + (RANKS - 1) * POINTS + i])
         count += ONE if is_better else ZERO
         scratch[OWN + i] = own if is_shown else NEVER
-        scratch[COLUMN + i] = u
-        scratch[ROW + i] = v
-        scratch[INVERSE + i] = reciprocal
-    return count
-
-
-@compiled_loop
-def _block_places(
-    scratch: Float32Array,
-    best: Int32Array,
-    scale_x: np.float32,
-    scale_y: np.float32,
-    width: np.int32,
-    height: np.int32,
-) -> None:
-    """Writes in which block of a view's depth map points lie; where it does not show them, in any.
-
-    Args:
-        scratch: as ``_set_penalties`` left it.
-        best: receives the places.
-        scale_x: how many of the depth map's columns one of the view's is, and
-        scale_y: of its rows.
-        width: of the depth map, and
-        height: likewise.
-    """
-    last_x, last_y = np.float32(width - 1), np.float32(height - 1)
-    across = np.int32((width + BLOCK_SIDE - 1) // BLOCK_SIDE)
-    for i in range(POINTS):
-        is_shown = scratch[OWN + i] < NEVER
-        u = scratch[COLUMN + i] if is_shown else ZERO
-        v = scratch[ROW + i] if is_shown else ZERO
-        column = np.int32(min((u + HALF) * scale_x, last_x) * BLOCKS)
-        row = np.int32(min((v + HALF) * scale_y, last_y) * BLOCKS)
-        # Products of 32 bits stay that; sums of two numbers of 32 bits would take 64.
-        best[PLACE + i] = np.int32(row * across) + column
-
-
-@compiled_loop
-def _count_doubtful(scratch: Float32Array) -> np.float32:
-    """Marks points that something in their block may hide, where it matters; returns how many."""
-    count = ZERO
-    for i in range(POINTS):
-        own = scratch[OWN + i]
-        is_doubtful = scratch[SEEN + i] > HIDDEN * scratch[INVERSE + i]
-        is_doubtful &= (own < NEVER) & (own <= scratch[BEST + (RANKS - 1) * POINTS + i])
-        scratch[SEEN + i] = ONE if is_doubtful else ZERO
-        count += ONE if is_doubtful else ZERO
+        # Where it is none of the best, nobody needs to know whether it is hidden.
+        scratch[COLUMN + i] = u if is_better else ZERO
+        scratch[ROW + i] = v if is_better else ZERO
+        scratch[INVERSE + i] = reciprocal if is_better else NEVER
     return count
 
 
 @compiled_leaf
-def _leave_out_hidden(
-    scratch: Float32Array, best: Int32Array, view: int, views: ViewArrays
-) -> None:
-    """Makes the penalty infinite where the view sees something nearer than the point.
+def _find_hidden(views: ViewArrays, view: int, scratch: Float32Array, places: Int32Array) -> bool:
+    """Marks points before which the view sees something nearer; returns whether any is."""
+    column, row = np.uintp(COLUMN), np.uintp(ROW)
+    nearness, seen = np.uintp(INVERSE), np.uintp(SEEN)
+    for by_blocks in (True, False):
+        if not find_hidden(
+            views, view, by_blocks, scratch, column, row, nearness, seen, places, POINTS
+        ):
+            return False
+    return True
 
-    Depth maps are too large for the processor's near memory, their blocks are not.
-    """
-    width, height = views.depth_size[view, 0], views.depth_size[view, 1]
-    if width == 0:
-        return
-    scale_x = np.float32(width / views.level_size[view, 0, 0])
-    scale_y = np.float32(height / views.level_size[view, 0, 1])
-    _block_places(scratch, best, scale_x, scale_y, np.int32(width), np.int32(height))
-    start = np.uintp(views.block_start[view])
-    for i in range(np.uintp(POINTS)):
-        scratch[np.uintp(SEEN) + i] = views.blocks[start + np.uintp(best[np.uintp(PLACE) + i])]
-    if _count_doubtful(scratch) == ZERO:
-        return
+
+@compiled_loop
+def _leave_out_hidden(scratch: Float32Array) -> None:
+    """Makes the penalty infinite where the view sees something nearer than the point."""
     for i in range(POINTS):
-        if scratch[SEEN + i] > ZERO:
-            column = min(int((scratch[COLUMN + i] + HALF) * scale_x), width - 1)
-            row = min(int((scratch[ROW + i] + HALF) * scale_y), height - 1)
-            seen = views.inverse_depth[views.depth_start[view] + row * width + column]
-            if seen > HIDDEN * scratch[INVERSE + i]:
-                scratch[OWN + i] = NEVER
+        own = scratch[OWN + i]
+        scratch[OWN + i] = NEVER if scratch[SEEN + i] > ZERO else own
 
 
 @compiled_loop
@@ -322,6 +237,7 @@ def rank_views(
     has_depth: bool,
     scratch: Float32Array,
     best: Int32Array,
+    places: Int32Array,
 ) -> None:
     """Finds the views with the smallest penalties at ``POINTS`` surface points.
 
@@ -337,7 +253,8 @@ def rank_views(
         has_depth: whether depth maps may hide the points.
         scratch: (RANKING_SCRATCH,) with the points set; from ``BEST`` on it receives the penalties
             of the best, rank by rank; infinite: no view.
-        best: (BEST_SIZE,) int32 receives the views; -1: none.
+        best: (RANKS * POINTS,) int32 receives the views; -1: none.
+        places: (POINTS,) int32, overwritten.
     """
     _start(scratch, best)
     for number in range(group_count):
@@ -348,8 +265,8 @@ def rank_views(
             if _set_penalties(scratch, numbers, row) == ZERO:
                 continue
             view = order[row]
-            if has_depth:
-                _leave_out_hidden(scratch, best, view, views)
+            if has_depth and _find_hidden(views, view, scratch, places):
+                _leave_out_hidden(scratch)
             _insert(scratch, best, view)
 
 

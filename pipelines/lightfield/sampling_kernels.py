@@ -13,9 +13,10 @@ from pipelines.artifacts.array_types import (
     ImageArray,
     Int32Array,
 )
-from pipelines.lightfield.blending import OCCLUSION_FACTOR
 from pipelines.lightfield.compiled import compiled_leaf, compiled_loop
+from pipelines.lightfield.occlusion_kernels import find_hidden
 from pipelines.lightfield.texel_intrinsic import LANES, add_texels, load_lanes
+from pipelines.lightfield.views import ViewArrays
 
 # Pixels that are worked on together; what they need stays in the processor's nearest cache.
 CHUNK = 128
@@ -32,7 +33,6 @@ SCRATCH_SIZE = 11 * ROW_LENGTH
 # Numbers that take a chunk's pixels into a view: map (9), shift (3).
 COEFFICIENTS = 12
 ZERO, HALF, ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
-HIDDEN = np.float32(OCCLUSION_FACTOR)
 
 
 @compiled_leaf
@@ -214,29 +214,10 @@ def place_samples(
 
 
 @compiled_loop
-def _depth_places(
-    scratch: Float32Array,
-    places: Int32Array,
-    count: int,
-    scale_x: np.float32,
-    scale_y: np.float32,
-    width: np.int32,
-    height: np.int32,
-) -> None:
-    """Writes where in a view's depth map a chunk's points lie."""
-    last_x, last_y = np.float32(width - 1), np.float32(height - 1)
-    for i in range(np.uintp(count)):
-        column = np.int32(min((scratch[i + COLUMN] + HALF) * scale_x, last_x))
-        row = np.int32(min((scratch[i + ROW] + HALF) * scale_y, last_y))
-        # Products of 32 bits stay that; sums of two numbers of 32 bits would take 64.
-        places[i] = np.int32(row * width) + column
-
-
-@compiled_loop
 def _take_weights(scratch: Float32Array, count: int) -> None:
-    """Sets the weights to 0 where the view sees something nearer than the point."""
+    """Sets the weights of points to 0 where they are hidden."""
     for i in range(np.uintp(count)):
-        is_hidden = scratch[i + SEEN] > HIDDEN * scratch[i + NEARNESS]
+        is_hidden = scratch[i + SEEN] > ZERO
         upper, lower = scratch[i + UPPER], scratch[i + LOWER]
         scratch[i + UPPER] = ZERO if is_hidden else upper
         scratch[i + LOWER] = ZERO if is_hidden else lower
@@ -244,36 +225,19 @@ def _take_weights(scratch: Float32Array, count: int) -> None:
 
 @compiled_leaf
 def leave_out_hidden(
-    scratch: Float32Array,
-    places: Int32Array,
-    count: int,
-    inverse_depth: Float32Array,
-    start: int,
-    width: int,
-    height: int,
-    full_width: int,
-    full_height: int,
+    views: ViewArrays, view: int, scratch: Float32Array, count: int, places: Int32Array
 ) -> None:
     """Takes the weight of points before which the view sees something nearer.
 
     Args:
+        views: the light field.
+        view: which.
         scratch: as ``place_samples`` left it; weights are changed.
-        places: (CHUNK,) int32, overwritten.
         count: pixels of the chunk, a multiple of ``LANES``.
-        inverse_depth: depth maps of all views; see ``ViewArrays``.
-        start: where the view's begins.
-        width: of it; 0: there is none.
-        height: of it.
-        full_width: of the view's finest level, and
-        full_height: likewise.
+        places: (CHUNK,) int32, overwritten.
     """
-    if width == 0:
-        return
-    scale_x, scale_y = np.float32(width / full_width), np.float32(height / full_height)
-    _depth_places(scratch, places, count, scale_x, scale_y, np.int32(width), np.int32(height))
-    for i in range(np.uintp(count)):
-        scratch[i + SEEN] = inverse_depth[np.uintp(start) + np.uintp(places[i])]
-    _take_weights(scratch, count)
+    if find_hidden(views, view, False, scratch, COLUMN, ROW, NEARNESS, SEEN, places, count):
+        _take_weights(scratch, count)
 
 
 @compiled_leaf

@@ -12,8 +12,8 @@ from pipelines.artifacts.array_types import Float32Array, FloatArray, IntArray
 from pipelines.lightfield.compiled import compiled_leaf, compiled_part
 from pipelines.lightfield.mapping_kernels import is_inside, locate, view_mapping
 from pipelines.lightfield.net_kernels import project_centre
+from pipelines.lightfield.occlusion_kernels import is_occluded
 from pipelines.lightfield.pixel_order_kernels import PixelOrder
-from pipelines.lightfield.ranking_kernels import is_occluded
 from pipelines.lightfield.workspace import LightField, Workspace
 
 

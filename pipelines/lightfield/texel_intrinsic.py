@@ -148,6 +148,47 @@ def _load_lanes(
 load_lanes = cast("Callable[..., None]", _load_lanes)
 
 
+@intrinsic
+def _gather_lanes(
+    _typing_context: Any, table: Any, start: Any, indices: Any, first: Any, scratch: Any, place: Any
+) -> Any:
+    """Copies ``LANES`` numbers from anywhere in a table to where they stand together.
+
+    Written one by one, they would have to arrive in memory before they could be read together.
+
+    Args:
+        _typing_context: numba's.
+        table: float32.
+        start: of what the indices count from.
+        indices: int32.
+        first: of them.
+        scratch: float32, receives the numbers from
+        place: on.
+    """
+    signature = types.void(table, start, indices, first, scratch, place)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        def data(number: int) -> Any:
+            kind = signature.args[number]
+            return context.make_array(kind)(context, builder, arguments[number]).data
+
+        values = ir.Constant(_vector(LANES), ir.Undefined)
+        source = builder.gep(data(0), [arguments[1]])
+        chosen = builder.gep(data(2), [arguments[3]])
+        for lane in range(LANES):
+            index = builder.load(builder.gep(chosen, [ir.Constant(_INDEX, lane)]))
+            value = builder.load(builder.gep(source, [builder.sext(index, _INDEX)]))
+            values = builder.insert_element(values, value, ir.Constant(_LANE, lane))
+        target = builder.gep(data(4), [arguments[5]])
+        builder.store(values, builder.bitcast(target, _vector(LANES).as_pointer()), align=4)
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+gather_lanes = cast("Callable[..., None]", _gather_lanes)
+
+
 def _vector(lanes: int) -> ir.VectorType:
     return ir.VectorType(_FLOAT, lanes)
 
