@@ -55,8 +55,7 @@ class Tiling(NamedTuple):
         views: ``(VIEWS_PER_CORNER, C)`` int32 the best at each point; -1: none.
         weights: ``(VIEWS_PER_CORNER, C)`` their weights.
         ranking: ``(RANKING_SCRATCH,)`` see ``ranking_kernels``.
-        best: ``(RANKS * POINTS,)`` int32, and
-        places: ``(POINTS,)`` int32, likewise.
+        best: ``(RANKS * POINTS,)`` int32, likewise.
         deviations: ``(G,)`` of the groups of views, and
         groups: ``(G,)`` in which order they are looked at.
         narrow_order: ``(MOST_NARROWED,)`` int32 and
@@ -75,7 +74,6 @@ class Tiling(NamedTuple):
     weights: Float32Array
     ranking: Float32Array
     best: Int32Array
-    places: Int32Array
     deviations: FloatArray
     groups: IntArray
     narrow_order: Int32Array
@@ -95,7 +93,6 @@ def tiling_for(width: int, height: int, view_count: int, group_count: int) -> Ti
         np.empty((VIEWS_PER_CORNER, points), np.float32),
         np.empty(RANKING_SCRATCH, np.float32),
         np.empty(RANKS * POINTS, np.int32),
-        np.empty(POINTS, np.int32),
         np.empty(group_count + 1),
         np.zeros(group_count + 1, np.int64),
         np.empty(MOST_NARROWED, np.int32),
@@ -213,7 +210,6 @@ def build_tiles(
             has_depth,
             space.ranking,
             space.best,
-            space.places,
         )
         set_shares(space.ranking, space.best, first, space.views, space.weights)
         if first == 0:

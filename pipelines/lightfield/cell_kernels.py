@@ -216,7 +216,6 @@ def blend_cells(
                 space.scratch,
                 space.targets,
                 space.offsets,
-                space.places,
                 space.coefficients,
                 image,
             )
@@ -245,7 +244,6 @@ def _blend_chunk(
     scratch: Float32Array,
     targets: Int32Array,
     offsets: Int32Array,
-    places: Int32Array,
     coefficients: Float32Array,
     image: Float32Array,
 ) -> None:
@@ -293,7 +291,7 @@ def _blend_chunk(
         )
         if here > 0:
             if has_depth:
-                leave_out_hidden(views, view, scratch, filled, places)
+                leave_out_hidden(views, view, scratch, filled)
             start, width = level_start[view, level], level_size[view, level, 0]
             add_samples(scratch, offsets, targets, count, texels, start, width, image)
         if elsewhere == 0:

@@ -183,14 +183,12 @@ def _set_penalties(scratch: Float32Array, numbers: Float32Array, row: int) -> np
 
 
 @compiled_leaf
-def _find_hidden(views: ViewArrays, view: int, scratch: Float32Array, places: Int32Array) -> bool:
+def _find_hidden(views: ViewArrays, view: int, scratch: Float32Array) -> bool:
     """Marks points before which the view sees something nearer; returns whether any is."""
     column, row = np.uintp(COLUMN), np.uintp(ROW)
     nearness, seen = np.uintp(INVERSE), np.uintp(SEEN)
     for by_blocks in (True, False):
-        if not find_hidden(
-            views, view, by_blocks, scratch, column, row, nearness, seen, places, POINTS
-        ):
+        if not find_hidden(views, view, by_blocks, scratch, column, row, nearness, seen, POINTS):
             return False
     return True
 
@@ -237,7 +235,6 @@ def rank_views(
     has_depth: bool,
     scratch: Float32Array,
     best: Int32Array,
-    places: Int32Array,
 ) -> None:
     """Finds the views with the smallest penalties at ``POINTS`` surface points.
 
@@ -254,7 +251,6 @@ def rank_views(
         scratch: (RANKING_SCRATCH,) with the points set; from ``BEST`` on it receives the penalties
             of the best, rank by rank; infinite: no view.
         best: (RANKS * POINTS,) int32 receives the views; -1: none.
-        places: (POINTS,) int32, overwritten.
     """
     _start(scratch, best)
     for number in range(group_count):
@@ -265,7 +261,7 @@ def rank_views(
             if _set_penalties(scratch, numbers, row) == ZERO:
                 continue
             view = order[row]
-            if has_depth and _find_hidden(views, view, scratch, places):
+            if has_depth and _find_hidden(views, view, scratch):
                 _leave_out_hidden(scratch)
             _insert(scratch, best, view)
 

@@ -224,9 +224,7 @@ def _take_weights(scratch: Float32Array, count: int) -> None:
 
 
 @compiled_leaf
-def leave_out_hidden(
-    views: ViewArrays, view: int, scratch: Float32Array, count: int, places: Int32Array
-) -> None:
+def leave_out_hidden(views: ViewArrays, view: int, scratch: Float32Array, count: int) -> None:
     """Takes the weight of points before which the view sees something nearer.
 
     Args:
@@ -234,9 +232,8 @@ def leave_out_hidden(
         view: which.
         scratch: as ``place_samples`` left it; weights are changed.
         count: pixels of the chunk, a multiple of ``LANES``.
-        places: (CHUNK,) int32, overwritten.
     """
-    if find_hidden(views, view, False, scratch, COLUMN, ROW, NEARNESS, SEEN, places, count):
+    if find_hidden(views, view, False, scratch, COLUMN, ROW, NEARNESS, SEEN, count):
         _take_weights(scratch, count)
 
 

@@ -149,44 +149,84 @@ load_lanes = cast("Callable[..., None]", _load_lanes)
 
 
 @intrinsic
-def _gather_lanes(
-    _typing_context: Any, table: Any, start: Any, indices: Any, first: Any, scratch: Any, place: Any
+def _find_hidden_lanes(
+    _typing_context: Any,
+    table: Any,
+    start: Any,
+    across: Any,
+    coefficients: Any,
+    scratch: Any,
+    column: Any,
+    row: Any,
+    nearness: Any,
+    hidden: Any,
 ) -> Any:
-    """Copies ``LANES`` numbers from anywhere in a table to where they stand together.
-
-    Written one by one, they would have to arrive in memory before they could be read together.
+    """Finds which of ``LANES`` points something in a table of inverse depths hides.
 
     Args:
         _typing_context: numba's.
-        table: float32.
-        start: of what the indices count from.
-        indices: int32.
-        first: of them.
-        scratch: float32, receives the numbers from
-        place: on.
+        table: (T,) float32.
+        start: of the part of it that counts.
+        across: int32, its row length.
+        coefficients: five float32: columns and rows of the table that one of the points' is, the
+            last ones, and the factor by which something has to be nearer than a point.
+        scratch: float32.
+        column: where in it the points' columns begin, and
+        row: their rows, and
+        nearness: their inverse depths; and
+        hidden: what receives 1 for points that are hidden, else 0.
+
+    Returns:
+        Whether any is.
     """
-    signature = types.void(table, start, indices, first, scratch, place)
+    signature = types.boolean(
+        table, start, across, coefficients, scratch, column, row, nearness, hidden
+    )
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        def data(number: int) -> Any:
-            kind = signature.args[number]
-            return context.make_array(kind)(context, builder, arguments[number]).data
+        table, data = (
+            context.make_array(signature.args[i])(context, builder, arguments[i]).data
+            for i in (0, 4)
+        )
 
-        values = ir.Constant(_vector(LANES), ir.Undefined)
-        source = builder.gep(data(0), [arguments[1]])
-        chosen = builder.gep(data(2), [arguments[3]])
+        def repeated(number: int) -> Any:
+            return _repeated(builder, builder.extract_value(arguments[3], number), LANES)
+
+        def address(number: int) -> Any:
+            pointer = builder.gep(data, [arguments[number]])
+            return builder.bitcast(pointer, _vector(LANES).as_pointer())
+
+        def place(number: int, scale: Any, last: Any) -> Any:
+            value = builder.load(address(number), align=4)
+            value = builder.fmul(builder.fadd(value, _constant(0.5)), scale)
+            value = builder.select(builder.fcmp_ordered("<", value, last), value, last)
+            return builder.fptosi(value, ir.VectorType(_LANE, LANES))
+
+        x, y = place(5, repeated(0), repeated(2)), place(6, repeated(1), repeated(3))
+        indices = builder.add(x, builder.mul(y, _repeated(builder, arguments[2], LANES, _LANE)))
+        seen = _constant(ir.Undefined)
+        source = builder.gep(table, [arguments[1]])
         for lane in range(LANES):
-            index = builder.load(builder.gep(chosen, [ir.Constant(_INDEX, lane)]))
-            value = builder.load(builder.gep(source, [builder.sext(index, _INDEX)]))
-            values = builder.insert_element(values, value, ir.Constant(_LANE, lane))
-        target = builder.gep(data(4), [arguments[5]])
-        builder.store(values, builder.bitcast(target, _vector(LANES).as_pointer()), align=4)
-        return context.get_dummy_value()
+            number = ir.Constant(_LANE, lane)
+            index = builder.sext(builder.extract_element(indices, number), _INDEX)
+            value = builder.load(builder.gep(source, [index]))
+            seen = builder.insert_element(seen, value, number)
+        own = builder.fmul(builder.load(address(7), align=4), repeated(4))
+        hides = builder.fcmp_ordered(">", seen, own)
+        builder.store(builder.select(hides, _constant(1.0), _constant(0.0)), address(8), align=4)
+        together = builder.bitcast(hides, ir.IntType(LANES))
+        return builder.icmp_unsigned("!=", together, ir.Constant(ir.IntType(LANES), 0))
 
     return signature, generate
 
 
-gather_lanes = cast("Callable[..., None]", _gather_lanes)
+find_hidden_lanes = cast("Callable[..., bool]", _find_hidden_lanes)
+
+
+def _constant(value: Any) -> Any:
+    """A vector of ``LANES`` times the same number."""
+    kind = _vector(LANES)
+    return ir.Constant(kind, value if value is ir.Undefined else [value] * LANES)
 
 
 def _vector(lanes: int) -> ir.VectorType:
@@ -207,9 +247,9 @@ def _at_pixel(builder: Any, target: Any, pixel: Any) -> Any:
     return builder.bitcast(builder.gep(target, [offset]), _vector(CHANNELS).as_pointer())
 
 
-def _repeated(builder: Any, value: Any, lanes: int) -> Any:
+def _repeated(builder: Any, value: Any, lanes: int, kind: ir.Type = _FLOAT) -> Any:
     """A vector of equal numbers."""
-    undefined = ir.Constant(_vector(lanes), ir.Undefined)
+    undefined = ir.Constant(ir.VectorType(kind, lanes), ir.Undefined)
     first = builder.insert_element(undefined, value, ir.Constant(_LANE, 0))
     zeros = ir.Constant(ir.VectorType(_LANE, lanes), [0] * lanes)
     return builder.shuffle_vector(first, undefined, zeros)

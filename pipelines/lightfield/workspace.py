@@ -168,8 +168,7 @@ class Workspace(NamedTuple):
         substitutes: of pixels that their cells leave empty.
         scratch: of a chunk, see ``sampling_kernels``.
         targets: ``(CHUNK,)`` int32, and
-        offsets: likewise, and
-        places: likewise.
+        offsets: likewise.
         coefficients: ``(COEFFICIENTS,)``.
     """
 
@@ -190,7 +189,6 @@ class Workspace(NamedTuple):
     scratch: Float32Array
     targets: Int32Array
     offsets: Int32Array
-    places: Int32Array
     coefficients: Float32Array
 
 
@@ -232,9 +230,9 @@ def workspace_for(field: LightField, width: int, height: int, chosen: Int32Array
     )
 
 
-def _chunk_memory() -> tuple[Float32Array, Int32Array, Int32Array, Int32Array]:
-    """A chunk's scratch and three rows of whole numbers, aligned for the widest vectors."""
-    count = SCRATCH_SIZE + 3 * ROW_LENGTH
+def _chunk_memory() -> tuple[Float32Array, Int32Array, Int32Array]:
+    """A chunk's scratch and two rows of whole numbers, aligned for the widest vectors."""
+    count = SCRATCH_SIZE + 2 * ROW_LENGTH
     memory = np.zeros(count * NUMBER_SIZE + ALIGNMENT, np.uint8)
     start = -memory.ctypes.data % ALIGNMENT
     numbers = memory[start : start + count * NUMBER_SIZE]
@@ -242,6 +240,5 @@ def _chunk_memory() -> tuple[Float32Array, Int32Array, Int32Array, Int32Array]:
     return (
         numbers.view(np.float32)[:SCRATCH_SIZE],
         rows[SCRATCH_SIZE : SCRATCH_SIZE + ROW_LENGTH],
-        rows[SCRATCH_SIZE + ROW_LENGTH : SCRATCH_SIZE + 2 * ROW_LENGTH],
-        rows[SCRATCH_SIZE + 2 * ROW_LENGTH :],
+        rows[SCRATCH_SIZE + ROW_LENGTH :],
     )
