@@ -72,7 +72,7 @@ class SurfaceRoom(NamedTuple):
         halves: ``(W,)`` int32 the side of a cell that each column is nearest to, and
         offsets: ``(W,)`` how far away that is, as a share of the cell; to the left less than 0.
         matrix: ``(3, 4)`` world points to homogeneous virtual pixels.
-        numbers: ``(12,)``, and
+        numbers: ``(28,)``, and
         elsewhere: ``(TOGETHER,)``, and
         scratch: ``(TOGETHER,)``, and
         cells: ``(TOGETHER,)`` int32; see ``splat_kernels``.
@@ -115,7 +115,7 @@ def surface_room_for(width: int, height: int, spacing: float) -> SurfaceRoom:
         halves,
         offsets,
         np.empty((3, 4)),
-        np.empty(12, np.float32),
+        np.empty(28, np.float32),
         elsewhere,
         np.empty(TOGETHER, np.float32),
         np.empty(TOGETHER, np.int32),

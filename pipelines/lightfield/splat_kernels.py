@@ -15,12 +15,15 @@ from pipelines.lightfield.compiled import compiled_leaf, compiled_loop, compiled
 from pipelines.lightfield.proxy import SAMPLES_PER_CELL
 from pipelines.lightfield.views import ViewArrays
 
-# Samples that are worked on together; always so many, so that none are left over.
-TOGETHER = 256
+# Samples that are worked on together; always so many, so that none are left over. They are taken
+# from strips of so many rows.
+TOGETHER, STRIP = 128, 12
 # Behind the mesh, what lies outside goes to so many places by turns: numbers that are written to
 # one place, one after the other, wait for each other.
 ELSEWHERE = 16
 # Points nearer to the camera's plane than this share of their recorded depth are left out.
+# By so much of a cell single precision errs at most.
+MARGIN = np.float32(0.01)
 SMALLEST_DEPTH = np.float32(1e-9)
 HALF, ONE, ZERO = np.float32(0.5), np.float32(1.0), np.float32(0.0)
 
@@ -28,17 +31,24 @@ HALF, ONE, ZERO = np.float32(0.5), np.float32(1.0), np.float32(0.0)
 class DepthSamples(NamedTuple):
     """What is projected of the depth maps, for one size of the mesh's cells: S samples.
 
+    They stand in batches of ``TOGETHER`` that lie near each other; a view's last batch is not full.
+
     Attributes:
-        starts: ``(N + 1,)`` where each view's samples begin.
-        columns: ``(S + TOGETHER,)`` in the depth map, from its middle, and
+        starts: ``(N,)`` where each view's samples begin, at the beginning of a batch, and
+        ends: ``(N,)`` where they end.
+        columns: ``(S,)`` in the depth map, from its middle, and
         rows: likewise, and
         inverse_depth: likewise, positive.
+        boxes: ``(S / TOGETHER, 6)`` around batches: the middle of columns, rows and inverse depths,
+            and how far these go from there.
     """
 
     starts: IntArray
+    ends: IntArray
     columns: Float32Array
     rows: Float32Array
     inverse_depth: Float32Array
+    boxes: FloatArray
 
 
 @compiled_step
@@ -54,7 +64,7 @@ def depth_samples(
         spacing: of the mesh's corners, virtual pixels.
     """
     count = len(views.centres)
-    starts = np.zeros(count + 1, np.int64)
+    starts, ends = np.zeros(count, np.int64), np.zeros(count, np.int64)
     strides = np.ones(count, np.int64)
     most = 0
     for view in range(count):
@@ -64,25 +74,68 @@ def depth_samples(
         scale = width / views.level_size[view, 0, 0]
         stride = max(1, int(spacing * views.focal[view] * scale / focal / SAMPLES_PER_CELL))
         strides[view] = stride
-        most += ((width + stride - 1) // stride) * ((height + stride - 1) // stride)
-    columns, rows = np.zeros(most + TOGETHER, np.float32), np.zeros(most + TOGETHER, np.float32)
-    inverse_depth = np.zeros(most + TOGETHER, np.float32)
+        samples = ((width + stride - 1) // stride) * ((height + stride - 1) // stride)
+        most += (samples + TOGETHER - 1) // TOGETHER * TOGETHER
+    columns, rows = np.zeros(most, np.float32), np.zeros(most, np.float32)
+    inverse_depth = np.zeros(most, np.float32)
     found = 0
     for view in range(count):
-        width, height = views.depth_size[view, 0], views.depth_size[view, 1]
-        starts[view + 1] = found
         if not is_source[view]:
             continue
-        for row in range(0, height, strides[view]):
-            for column in range(0, width, strides[view]):
-                value = views.inverse_depth[views.depth_start[view] + row * width + column]
-                if value > 0.0:
-                    columns[found] = column + 0.5 - 0.5 * width
-                    rows[found] = row + 0.5 - 0.5 * height
-                    inverse_depth[found] = value
-                    found += 1
-        starts[view + 1] = found
-    return DepthSamples(starts, columns, rows, inverse_depth)
+        width, height = views.depth_size[view, 0], views.depth_size[view, 1]
+        stride, starts[view] = strides[view], found
+        # Column by column of a strip, so that batches are about as wide as high.
+        for top in range(0, height, STRIP * stride):
+            for column in range(0, width, stride):
+                for row in range(top, min(top + STRIP * stride, height), stride):
+                    value = views.inverse_depth[views.depth_start[view] + row * width + column]
+                    if value > 0.0:
+                        columns[found] = column + 0.5 - 0.5 * width
+                        rows[found] = row + 0.5 - 0.5 * height
+                        inverse_depth[found] = value
+                        found += 1
+        ends[view] = found
+        found = (found + TOGETHER - 1) // TOGETHER * TOGETHER
+    boxes = np.zeros((most // TOGETHER, 6))
+    for view in range(count):
+        for first in range(starts[view], ends[view], TOGETHER):
+            last = min(first + TOGETHER, ends[view])
+            for axis, values in enumerate((columns, rows, inverse_depth)):
+                low, high = values[first:last].min(), values[first:last].max()
+                boxes[first // TOGETHER, axis] = 0.5 * (low + high)
+                boxes[first // TOGETHER, 3 + axis] = 0.5 * (high - low)
+    return DepthSamples(starts, ends, columns, rows, inverse_depth, boxes)
+
+
+@compiled_leaf
+def _set_borders(numbers: Float32Array, width: int, height: int) -> None:
+    """Writes linear functions of a sample that are negative outside of the mesh.
+
+    Args:
+        numbers: (28,) the first twelve as ``_place`` takes them; behind them four functions of
+            column, row, 1 and inverse depth.
+        width: of the mesh, and
+        height: of it.
+    """
+    for axis, size in enumerate((width, height)):
+        for i in range(4):
+            along, depth = numbers[4 * axis + i], numbers[8 + i]
+            # A little beyond the border: no place is exact.
+            numbers[12 + 8 * axis + i] = along + (HALF + MARGIN) * depth
+            numbers[16 + 8 * axis + i] = (np.float32(size) - HALF + MARGIN) * depth - along
+
+
+@compiled_leaf
+def _is_outside(boxes: FloatArray, batch: int, numbers: Float32Array) -> bool:
+    """Whether a batch lies outside of the mesh, beyond one of its borders."""
+    for border in range(12, 28, 4):
+        highest = np.float64(numbers[border + 2])
+        for axis in range(3):
+            factor = numbers[border + axis] if axis < 2 else numbers[border + 3]
+            highest += factor * boxes[batch, axis] + abs(factor) * boxes[batch, 3 + axis]
+        if highest < 0.0:
+            return True
+    return False
 
 
 @compiled_leaf
@@ -108,7 +161,7 @@ def splat(
         view: whose depth map.
         matrix: (3, 4) world points to homogeneous virtual pixels.
         spacing: of the mesh's corners, virtual pixels.
-        numbers: (12,) overwritten.
+        numbers: (28,) overwritten.
         elsewhere: (TOGETHER,) places behind the mesh, by turns.
         scratch: (TOGETHER,) overwritten.
         cells: (TOGETHER,) int32, overwritten.
@@ -135,7 +188,10 @@ def splat(
             shift += own * views.centres[view, k]
         numbers[4 * i], numbers[4 * i + 1] = a * scale_x, b * scale_y
         numbers[4 * i + 2], numbers[4 * i + 3] = a * middle_x + b * middle_y + c, shift
-    for first in range(samples.starts[view], samples.starts[view + 1], TOGETHER):
+    _set_borders(numbers, width, height)
+    for first in range(samples.starts[view], samples.ends[view], TOGETHER):
+        if _is_outside(samples.boxes, first // TOGETHER, numbers):
+            continue
         _place(
             samples.columns,
             samples.rows,
@@ -148,7 +204,7 @@ def splat(
             scratch,
             cells,
         )
-        for i in range(np.uintp(min(TOGETHER, samples.starts[view + 1] - first))):
+        for i in range(np.uintp(min(TOGETHER, samples.ends[view] - first))):
             cell = np.uintp(cells[i])
             corners[cell] = max(corners[cell], scratch[i])
 
@@ -175,7 +231,7 @@ def _place(
         sample_rows: likewise, and
         inverse_depth: likewise.
         first: of the samples.
-        numbers: (12,) three rows of turn and shift: a pixel p of the depth map, from its middle, at
+        numbers: three rows of turn and shift: a pixel p of the depth map, from its middle, at
             inverse depth d is at turn p + shift d.
         height: rows of the mesh.
         width: of the mesh.
