@@ -20,7 +20,9 @@ from pipelines.lightfield.comparison import (
     prepared,
 )
 from pipelines.lightfield.compiled import compiled_kernel
+from pipelines.lightfield.proxy import Quality, plane_inverse_depth
 from pipelines.lightfield.renderer import Renderer
+from pipelines.lightfield.views import with_depth
 from tests.lightfield_samples import WALL, looking, photo, photographed, pinhole
 
 # They are parts of a kernel; called from here they would not be compiled.
@@ -230,9 +232,11 @@ def test_threads_and_company_do_not_change_a_cost() -> None:
 
 @every_cost
 @pytest.mark.parametrize("blending", Blending)
-@pytest.mark.parametrize("fit_gain", [False, True])
+@pytest.mark.parametrize(
+    ("quality", "fit_gain"), [(Quality.PLANE, False), (Quality.PLANE, True), (Quality.MEDIUM, True)]
+)
 def test_leaving_pixels_out_renders_the_others_as_before(
-    cost: Cost, blending: Blending, fit_gain: bool
+    cost: Cost, blending: Blending, quality: Quality, fit_gain: bool
 ) -> None:
     """Whatever is left: a lattice, a few pixels, a corner, one; where views end and where not."""
     generator = np.random.default_rng(3)
@@ -240,7 +244,12 @@ def test_leaving_pixels_out_renders_the_others_as_before(
     views = photographed(poses, pinhole(48, 36, 60.0), WALL)
     camera = pinhole(31, 22, 17.0)
     pose = looking([0.2, -2.5, 1.0], [0.7, 0.0, 1.2])
-    renderer = Renderer(views, WALL, blending, threads=1)
+    # Rendered first, so that nothing is left in memory of what is wanted.
+    elsewhere = looking([-0.9, -1.5, 1.3], [-0.2, 0.0, 0.8])
+    walls = [plane_inverse_depth(WALL, own, pinhole(48, 36, 60.0)) for own in poses]
+    walls = [wall * generator.uniform(0.9, 1.1, wall.shape) for wall in walls]
+    views = with_depth(views, [wall.astype(np.float32) for wall in walls])
+    renderer = Renderer(views, WALL, blending, quality, threads=1)
     view = renderer.render_with_surface(pose, camera)
     assert 0.3 < view.covered.mean() < 0.95
     rows, columns = np.indices((camera.height, camera.width))
@@ -253,6 +262,7 @@ def test_leaving_pixels_out_renders_the_others_as_before(
     for is_kept in kept:
         query = generator.uniform(0.0, 255.0, (*rows.shape, 3)).astype(np.float32)
         query[~is_kept] = np.nan
+        renderer.costs(elsewhere[None], camera, query, cost, fit_gain)
         found = renderer.costs(pose[None], camera, query, cost, fit_gain)[0]
         expected = compiled_compare(int(cost), view.rgba, prepared(query), fit_gain)
         assert found == pytest.approx(expected, rel=1e-5)

@@ -71,6 +71,8 @@ class SurfaceRoom(NamedTuple):
             of each, and twice, how much they change from there to here.
         halves: ``(W,)`` int32 the side of a cell that each column is nearest to, and
         offsets: ``(W,)`` how far away that is, as a share of the cell; to the left less than 0.
+        columns: ``(P,)`` int32 of the pixels that are wanted, row by row, and
+        starts: ``(H + 1,)`` where rows begin.
         matrix: ``(3, 4)`` world points to homogeneous virtual pixels.
         numbers: ``(28,)``, and
         elsewhere: ``(TOGETHER,)``, and
@@ -85,6 +87,8 @@ class SurfaceRoom(NamedTuple):
     edges: Float32Array
     halves: Int32Array
     offsets: Float32Array
+    columns: Int32Array
+    starts: IntArray
     matrix: FloatArray
     numbers: Float32Array
     elsewhere: Float32Array
@@ -93,8 +97,14 @@ class SurfaceRoom(NamedTuple):
 
 
 @compiled_step
-def surface_room_for(width: int, height: int, spacing: float) -> SurfaceRoom:
-    """Memory for images of one size and corners that are so many pixels apart."""
+def surface_room_for(width: int, height: int, spacing: float, wanted: Int32Array) -> SurfaceRoom:
+    """Memory for images of one size, corners so many pixels apart, and the pixels (P,) wanted."""
+    pixel_columns, starts = np.empty(len(wanted), np.int32), np.zeros(height + 1, np.int64)
+    for number in range(len(wanted)):
+        pixel_columns[number] = wanted[number] % width
+        starts[wanted[number] // width + 1] = number + 1
+    for row in range(height):
+        starts[row + 1] = max(starts[row + 1], starts[row])
     rows = int(np.ceil((height - 1) / spacing)) + 1
     columns = int(np.ceil((width - 1) / spacing)) + 1
     halves, offsets = np.empty(width, np.int32), np.empty(width, np.float32)
@@ -114,6 +124,8 @@ def surface_room_for(width: int, height: int, spacing: float) -> SurfaceRoom:
         np.empty(4 * columns, np.float32),
         halves,
         offsets,
+        pixel_columns,
+        starts,
         np.empty((3, 4)),
         np.empty(28, np.float32),
         elsewhere,
@@ -178,7 +190,7 @@ def _depth_surface(
         intrinsics: (4,) fx, fy, cx, cy.
         spacing: of the mesh's corners, virtual pixels.
         room: for images of this size; changed.
-        surface: (H, W) receives the result.
+        surface: (H, W) receives the result where it is wanted.
     """
     matrix, corners = room.matrix, room.corners
     for j in range(3):
@@ -217,10 +229,16 @@ def _depth_surface(
     for column in range(width + 1):
         room.mesh[height, column] = room.mesh[height - 1, column]
     for row in range(surface.shape[0]):
+        first, last = room.starts[row], room.starts[row + 1]
+        if first == last:
+            continue
         y = row / spacing
         top = min(int(y), height - 1)
         _set_edges(room.mesh[top], room.mesh[top + 1], np.float32(y - top), room.edges)
-        _interpolate(room, surface[row])
+        if last - first == surface.shape[1]:
+            _interpolate(room, surface[row])
+        else:
+            _interpolate_some(room, first, last, surface[row])
 
 
 @compiled_loop
@@ -322,6 +340,17 @@ def _interpolate(room: SurfaceRoom, surface: Float32Array) -> None:
         surface[i] = edges[half] + edges[slopes + half] * offsets[i]
 
 
+@compiled_leaf
+def _interpolate_some(room: SurfaceRoom, first: int, last: int, surface: Float32Array) -> None:
+    """Like ``_interpolate``, from one of the wanted pixels to another."""
+    edges, halves, offsets = room.edges, room.halves, room.offsets
+    slopes = np.uintp(len(edges) // 2)
+    for i in range(np.uintp(first), np.uintp(last)):
+        column = np.uintp(room.columns[i])
+        half = np.uintp(halves[column])
+        surface[column] = edges[half] + edges[slopes + half] * offsets[column]
+
+
 @compiled
 def plane_surfaces(
     poses: FloatArray, intrinsics: FloatArray, plane: FloatArray, surfaces: Float32Array
@@ -372,6 +401,7 @@ def depth_surfaces(
     poses: FloatArray,
     intrinsics: FloatArray,
     spacing: float,
+    wanted: Int32Array,
     surfaces: Float32Array,
 ) -> None:
     """Writes the depth maps' surface (B, H, W) in B virtual images; see ``_depth_surface``.
@@ -383,9 +413,10 @@ def depth_surfaces(
         poses: (B, 4, 4) world_from_camera.
         intrinsics: (4,) fx, fy, cx, cy.
         spacing: of the mesh's corners, virtual pixels.
-        surfaces: (B, H, W) receives the inverse depths.
+        wanted: (P,) int32 indices of the pixels that matter, rising.
+        surfaces: (B, H, W) receives their inverse depths.
     """
-    room = surface_room_for(surfaces.shape[2], surfaces.shape[1], spacing)
+    room = surface_room_for(surfaces.shape[2], surfaces.shape[1], spacing, wanted)
     for index in range(len(poses)):
         _depth_surface(
             views,

@@ -95,17 +95,17 @@ def view_mappings(
     return maps, shifts
 
 
+def frustum_positions(size: int) -> IntArray:
+    """Pixel columns (or rows) ``(FRUSTUM_SAMPLES,)`` of the points that stand for the frustum."""
+    return np.arange(FRUSTUM_SAMPLES) * (size - 1) // (FRUSTUM_SAMPLES - 1)
+
+
 def views_in_frustum(
     views: Views, maps: FloatArray, shifts: FloatArray, surface: FloatArray
 ) -> BoolArray:
     """Which views see any of a grid of surface points of the virtual frustum, ``(N,)``."""
     height, width = surface.shape
-    steps = np.arange(FRUSTUM_SAMPLES)
-    rows, columns = np.meshgrid(
-        steps * (height - 1) // (FRUSTUM_SAMPLES - 1),
-        steps * (width - 1) // (FRUSTUM_SAMPLES - 1),
-        indexing="ij",
-    )
+    rows, columns = np.meshgrid(frustum_positions(height), frustum_positions(width), indexing="ij")
     depth = surface[rows, columns].reshape(-1)
     samples = np.stack([columns, rows, np.ones_like(rows)], axis=-1).reshape(-1, 3)
     target = samples @ np.swapaxes(maps, 1, 2) + depth[:, None] * shifts[:, None]  # [N, S, 3]

@@ -18,12 +18,13 @@ from pipelines.artifacts.array_types import (
 from pipelines.artifacts.errors import OptionError, StageError
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
-from pipelines.lightfield.blending import Blending
+from pipelines.lightfield.blending import Blending, outlook_positions, tile_borders
 from pipelines.lightfield.comparison import Cost, prepared
 from pipelines.lightfield.devices import Device, chosen_gpu
 from pipelines.lightfield.kernels import NO_COMPARISON, render_nets, render_tiles
 from pipelines.lightfield.proxy import Quality, cell_size, usual_inverse_depth
 from pipelines.lightfield.proxy_kernels import depth_surfaces, plane_surfaces, sample_depths
+from pipelines.lightfield.reference import frustum_positions
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.view_index import build_index
 from pipelines.lightfield.views import Views, views_of_scene, without_depth
@@ -240,7 +241,7 @@ class Renderer:
             chosen = np.flatnonzero(target[..., 3]).astype(np.int32)
             target = np.ascontiguousarray(target.reshape(1, -1, 4)[:, chosen])
 
-        surfaces = self._surfaces(poses, intrinsics)
+        surfaces = self._surfaces(poses, intrinsics, chosen)
         vector, kind = intrinsics.vector(), int(cost)
 
         def score(part: slice) -> None:
@@ -267,15 +268,18 @@ class Renderer:
         images = np.empty((*shape, 4), dtype=np.float32)
         no_query, no_costs = np.empty((0, 0, 4), dtype=np.float32), np.empty(0)
         chosen = every_pixel(intrinsics)
-        surfaces = self._surfaces(poses, intrinsics)(slice(None))
+        surfaces = self._surfaces(poses, intrinsics, chosen)(slice(None))
         vector, kind = intrinsics.vector(), NO_COMPARISON
         self._render(poses, vector, surfaces, chosen, no_query, kind, False, images, no_costs)
         return images, surfaces
 
     def _surfaces(
-        self, poses: FloatArray, intrinsics: Intrinsics
+        self, poses: FloatArray, intrinsics: Intrinsics, chosen: Int32Array
     ) -> Callable[[slice], Float32Array]:
-        """What makes the surfaces ``(B, H, W)`` that are seen from some of the poses."""
+        """What makes the surfaces ``(B, H, W)`` that are seen from some of the poses.
+
+        They are whole, or at least where the ``chosen`` pixels are and views are chosen.
+        """
         vector, size = intrinsics.vector(), (intrinsics.height, intrinsics.width)
         if self.quality is Quality.PLANE:
 
@@ -288,10 +292,12 @@ class Renderer:
         arrays, usual = self.views.arrays, self._usual_inverse_depth
         spacing = float(cell_size(self.views, intrinsics, self.quality))
         sources, samples = sample_depths(arrays, usual, poses, vector, spacing)
+        wanted = _surface_pixels(intrinsics, chosen)
 
         def of_depths(part: slice) -> Float32Array:
             surfaces = np.empty((len(poses[part]), *size), dtype=np.float32)
-            depth_surfaces(arrays, samples, sources[part], poses[part], vector, spacing, surfaces)
+            own = poses[part]
+            depth_surfaces(arrays, samples, sources[part], own, vector, spacing, wanted, surfaces)
             return surfaces
 
         return of_depths
@@ -335,6 +341,15 @@ class Renderer:
 def every_pixel(intrinsics: Intrinsics) -> Int32Array:
     """Indices ``(H W,)`` of all pixels of an image."""
     return np.arange(intrinsics.width * intrinsics.height, dtype=np.int32)
+
+
+def _surface_pixels(intrinsics: Intrinsics, chosen: Int32Array) -> Int32Array:
+    """Indices of the pixels at which rendering the chosen ones needs the surface, rising."""
+    is_needed = np.zeros((intrinsics.height, intrinsics.width), dtype=np.bool_)
+    is_needed.reshape(-1)[chosen] = True
+    for positions in (tile_borders, outlook_positions, frustum_positions):
+        is_needed[np.ix_(positions(intrinsics.height), positions(intrinsics.width))] = True
+    return np.flatnonzero(is_needed).astype(np.int32)
 
 
 def check_query(query: ImageArray | Float32Array, intrinsics: Intrinsics) -> None:
