@@ -17,16 +17,21 @@ from pipelines.artifacts.array_types import (
 from pipelines.lightfield.compiled import compiled_leaf, compiled_part
 from pipelines.lightfield.mapping_kernels import is_inside, locate, view_mapping
 from pipelines.lightfield.net_kernels import build_net
+from pipelines.lightfield.occlusion_kernels import find_hidden
 from pipelines.lightfield.pixel_order_kernels import PixelOrder, order_by_label
 from pipelines.lightfield.reference import FRUSTUM_SAMPLES
 from pipelines.lightfield.sampling_kernels import (
     CHUNK,
+    COLUMN,
+    NEARNESS,
+    ROW,
+    SEEN,
     add_samples,
     chunk_coefficients,
     end_weights,
-    leave_out_hidden,
     load_cell,
     place_samples,
+    take_weights,
 )
 from pipelines.lightfield.texel_intrinsic import LANES
 from pipelines.lightfield.views import ViewArrays
@@ -203,12 +208,14 @@ def blend_cells(
                 has_depth,
                 pose,
                 focal,
-                field.views,
                 field.views.projection,
                 field.views.focal,
                 field.views.texels,
                 field.views.level_start,
                 field.views.level_size,
+                field.views.inverse_depth,
+                field.views.depth_start,
+                field.views.depth_size,
                 space.rays,
                 space.maps,
                 space.shifts,
@@ -231,12 +238,14 @@ def _blend_chunk(
     has_depth: bool,
     pose: FloatArray,
     focal: float,
-    views: ViewArrays,
     projection: FloatArray,
     focals: FloatArray,
     texels: ImageArray,
     level_start: IntArray,
     level_size: IntArray,
+    inverse_depth: Float32Array,
+    depth_start: IntArray,
+    depth_size: IntArray,
     rays: FloatArray,
     maps: FloatArray,
     shifts: FloatArray,
@@ -290,8 +299,22 @@ def _blend_chunk(
             np.float32(level_size[view, level, 1] / full_height),
         )
         if here > 0:
-            if has_depth:
-                leave_out_hidden(views, view, scratch, filled)
+            if has_depth and find_hidden(
+                inverse_depth,
+                depth_start[view],
+                1,
+                depth_size[view, 0],
+                depth_size[view, 1],
+                full_width,
+                full_height,
+                scratch,
+                COLUMN,
+                ROW,
+                NEARNESS,
+                SEEN,
+                filled,
+            ):
+                take_weights(scratch, filled)
             start, width = level_start[view, level], level_size[view, level, 0]
             add_samples(scratch, offsets, targets, count, texels, start, width, image)
         if elsewhere == 0:

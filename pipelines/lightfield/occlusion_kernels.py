@@ -9,9 +9,10 @@ import numpy as np
 
 from pipelines.artifacts.array_types import Float32Array, IntArray
 from pipelines.lightfield.blending import OCCLUSION_FACTOR
-from pipelines.lightfield.compiled import compiled_leaf
+from pipelines.lightfield.compiled import compiled_leaf, compiled_part
 from pipelines.lightfield.texel_intrinsic import LANES, find_hidden_lanes
-from pipelines.lightfield.views import BLOCK_SIDE, ViewArrays
+
+HIDDEN = np.float32(OCCLUSION_FACTOR)
 
 
 @compiled_leaf
@@ -46,62 +47,63 @@ def is_occluded(
     return bool(seen > OCCLUSION_FACTOR * own)
 
 
-@compiled_leaf
+@compiled_part
 def find_hidden(
-    views: ViewArrays,
-    view: int,
-    by_blocks: bool,
+    table: Float32Array,
+    start: int,
+    side: int,
+    width: int,
+    height: int,
+    full_width: int,
+    full_height: int,
     scratch: Float32Array,
-    column: np.uintp,
-    row: np.uintp,
-    nearness: np.uintp,
-    seen: np.uintp,
+    column: int,
+    row: int,
+    nearness: int,
+    hidden: int,
     count: int,
 ) -> bool:
     """Finds points before which a view has something nearer.
 
     Args:
-        views: the light field.
-        view: which.
-        by_blocks: whether to look for something nearer anywhere in their blocks: then some may be
-            found that are not hidden, but none is missed.
+        table: inverse depths of all views, or the nearest of their blocks.
+        start: where the view's begin.
+        side: of a block; with blocks some points may be found that are not hidden, but none is
+            missed. 1: these are the depth maps themselves.
+        width: of the view's depth map; 0: there is none.
+        height: of it.
+        full_width: of the view's finest level, and
+        full_height: likewise.
         scratch: with the points and the result.
         column: where the row with columns in the view's finest level begins, inside the image; and
         row: the row with rows; and
         nearness: that with the points' inverse depths in the view; and
-        seen: that which receives 1 for points that are hidden, else 0.
+        hidden: that which receives 1 for points that are hidden, else 0.
         count: of the points, a multiple of ``LANES``.
 
     Returns:
         Whether any is.
     """
-    width, height = views.depth_size[view, 0], views.depth_size[view, 1]
-    if width == 0:
-        return False
-    table, start = views.inverse_depth, views.depth_start[view]
-    share, across = 1.0, width
-    if by_blocks:
-        table, start = views.blocks, views.block_start[view]
-        share, across = 1.0 / BLOCK_SIDE, (width + BLOCK_SIDE - 1) // BLOCK_SIDE
-    coefficients = (
-        np.float32(share * width / views.level_size[view, 0, 0]),
-        np.float32(share * height / views.level_size[view, 0, 1]),
-        np.float32(share * (width - 1)),
-        np.float32(share * (height - 1)),
-        np.float32(OCCLUSION_FACTOR),
-    )
     is_any = False
-    for number in range(0, count, LANES):
-        first = np.uintp(number)
+    if width == 0:
+        return is_any
+    across, share = np.int32((width + side - 1) // side), 1.0 / side
+    scale_x, scale_y = share * width / full_width, share * height / full_height
+    last_x, last_y = share * (width - 1), share * (height - 1)
+    for first in range(0, count, LANES):
         is_any |= find_hidden_lanes(
             table,
             start,
-            np.int32(across),
-            coefficients,
+            across,
+            np.float32(scale_x),
+            np.float32(scale_y),
+            np.float32(last_x),
+            np.float32(last_y),
+            HIDDEN,
             scratch,
             column + first,
             row + first,
             nearness + first,
-            seen + first,
+            hidden + first,
         )
     return is_any

@@ -14,9 +14,7 @@ from pipelines.artifacts.array_types import (
     Int32Array,
 )
 from pipelines.lightfield.compiled import compiled_leaf, compiled_loop
-from pipelines.lightfield.occlusion_kernels import find_hidden
 from pipelines.lightfield.texel_intrinsic import LANES, add_texels, load_lanes
-from pipelines.lightfield.views import ViewArrays
 
 # Pixels that are worked on together; what they need stays in the processor's nearest cache.
 CHUNK = 128
@@ -214,27 +212,13 @@ def place_samples(
 
 
 @compiled_loop
-def _take_weights(scratch: Float32Array, count: int) -> None:
-    """Sets the weights of points to 0 where they are hidden."""
+def take_weights(scratch: Float32Array, count: int) -> None:
+    """Sets the weights of a chunk's points to 0 where they are marked as hidden."""
     for i in range(np.uintp(count)):
         is_hidden = scratch[i + SEEN] > ZERO
         upper, lower = scratch[i + UPPER], scratch[i + LOWER]
         scratch[i + UPPER] = ZERO if is_hidden else upper
         scratch[i + LOWER] = ZERO if is_hidden else lower
-
-
-@compiled_leaf
-def leave_out_hidden(views: ViewArrays, view: int, scratch: Float32Array, count: int) -> None:
-    """Takes the weight of points before which the view sees something nearer.
-
-    Args:
-        views: the light field.
-        view: which.
-        scratch: as ``place_samples`` left it; weights are changed.
-        count: pixels of the chunk, a multiple of ``LANES``.
-    """
-    if find_hidden(views, view, False, scratch, COLUMN, ROW, NEARNESS, SEEN, count):
-        _take_weights(scratch, count)
 
 
 @compiled_leaf

@@ -154,7 +154,11 @@ def _find_hidden_lanes(
     table: Any,
     start: Any,
     across: Any,
-    coefficients: Any,
+    scale_x: Any,
+    scale_y: Any,
+    last_x: Any,
+    last_y: Any,
+    factor: Any,
     scratch: Any,
     column: Any,
     row: Any,
@@ -168,8 +172,11 @@ def _find_hidden_lanes(
         table: (T,) float32.
         start: of the part of it that counts.
         across: int32, its row length.
-        coefficients: five float32: columns and rows of the table that one of the points' is, the
-            last ones, and the factor by which something has to be nearer than a point.
+        scale_x: float32, how many of the table's columns one of the points' is, and
+        scale_y: of its rows.
+        last_x: float32, the table's last column, and
+        last_y: its last row.
+        factor: float32, by which something has to be nearer than a point.
         scratch: float32.
         column: where in it the points' columns begin, and
         row: their rows, and
@@ -180,17 +187,29 @@ def _find_hidden_lanes(
         Whether any is.
     """
     signature = types.boolean(
-        table, start, across, coefficients, scratch, column, row, nearness, hidden
+        table,
+        start,
+        across,
+        scale_x,
+        scale_y,
+        last_x,
+        last_y,
+        factor,
+        scratch,
+        column,
+        row,
+        nearness,
+        hidden,
     )
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         table, data = (
             context.make_array(signature.args[i])(context, builder, arguments[i]).data
-            for i in (0, 4)
+            for i in (0, 8)
         )
 
         def repeated(number: int) -> Any:
-            return _repeated(builder, builder.extract_value(arguments[3], number), LANES)
+            return _repeated(builder, arguments[number], LANES)
 
         def address(number: int) -> Any:
             pointer = builder.gep(data, [arguments[number]])
@@ -202,7 +221,7 @@ def _find_hidden_lanes(
             value = builder.select(builder.fcmp_ordered("<", value, last), value, last)
             return builder.fptosi(value, ir.VectorType(_LANE, LANES))
 
-        x, y = place(5, repeated(0), repeated(2)), place(6, repeated(1), repeated(3))
+        x, y = place(9, repeated(3), repeated(5)), place(10, repeated(4), repeated(6))
         indices = builder.add(x, builder.mul(y, _repeated(builder, arguments[2], LANES, _LANE)))
         seen = _constant(ir.Undefined)
         source = builder.gep(table, [arguments[1]])
@@ -211,9 +230,9 @@ def _find_hidden_lanes(
             index = builder.sext(builder.extract_element(indices, number), _INDEX)
             value = builder.load(builder.gep(source, [index]))
             seen = builder.insert_element(seen, value, number)
-        own = builder.fmul(builder.load(address(7), align=4), repeated(4))
+        own = builder.fmul(builder.load(address(11), align=4), repeated(7))
         hides = builder.fcmp_ordered(">", seen, own)
-        builder.store(builder.select(hides, _constant(1.0), _constant(0.0)), address(8), align=4)
+        builder.store(builder.select(hides, _constant(1.0), _constant(0.0)), address(12), align=4)
         together = builder.bitcast(hides, ir.IntType(LANES))
         return builder.icmp_unsigned("!=", together, ir.Constant(ir.IntType(LANES), 0))
 
