@@ -57,10 +57,10 @@ def find_hidden(
     full_width: int,
     full_height: int,
     scratch: Float32Array,
-    column: int,
-    row: int,
-    nearness: int,
-    hidden: int,
+    column: np.uintp,
+    row: np.uintp,
+    nearness: np.uintp,
+    hidden: np.uintp,
     count: int,
 ) -> bool:
     """Finds points before which a view has something nearer.
@@ -90,7 +90,8 @@ def find_hidden(
     across, share = np.int32((width + side - 1) // side), 1.0 / side
     scale_x, scale_y = share * width / full_width, share * height / full_height
     last_x, last_y = share * (width - 1), share * (height - 1)
-    for first in range(0, count, LANES):
+    for number in range(0, count, LANES):
+        first = np.uintp(number)
         is_any |= find_hidden_lanes(
             table,
             start,

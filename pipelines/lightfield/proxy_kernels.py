@@ -1,11 +1,15 @@
 """The surface as a virtual camera sees it, fast: the same inverse depths as ``proxy``, compiled."""
 
-from typing import NamedTuple
-
 import numpy as np
 
-from pipelines.artifacts.array_types import Float32Array, FloatArray, Int32Array, IntArray
-from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_loop, compiled_step
+from pipelines.artifacts.array_types import Float32Array, FloatArray, IntArray
+from pipelines.lightfield.compiled import (
+    compiled,
+    compiled_kernel,
+    compiled_leaf,
+    compiled_loop,
+    compiled_step,
+)
 from pipelines.lightfield.mapping_kernels import virtual_rays
 from pipelines.lightfield.proxy import (
     EDGE_FACTOR,
@@ -16,15 +20,14 @@ from pipelines.lightfield.proxy import (
     TURN_COST,
 )
 from pipelines.lightfield.splat_kernels import (
-    ELSEWHERE,
     HALF,
     ONE,
-    TOGETHER,
     ZERO,
     DepthSamples,
-    depth_samples,
+    fill_samples,
     splat,
 )
+from pipelines.lightfield.surface_room import SurfaceRoom
 from pipelines.lightfield.views import ViewArrays
 
 FACTOR, NEIGHBOURS = np.float32(PINHOLE_FACTOR), np.float32(PINHOLE_NEIGHBOURS)
@@ -56,82 +59,6 @@ def plane_surface(
         for x in range(surface.shape[1]):
             value = (slope[0] * x + slope[1] * y + slope[2]) / distance
             surface[y, x] = max(value, 0.0)
-
-
-class SurfaceRoom(NamedTuple):
-    """Memory for the surface from depth maps in images of one size, over a mesh of h x w corners.
-
-    Attributes:
-        corners: ``((h + 2) (w + 2) + ELSEWHERE,)`` inverse depths of the mesh with a border, row by
-            row, and what lies outside.
-        mesh: ``(h + 1, w + 1)`` as it is in the end; the last row and column are there twice.
-        empty: ``(h w,)`` corners without a depth, and
-        filled: ``(h w,)`` what they are given.
-        edges: ``(4 w,)`` values between two rows of corners: on the left of each cell, on the right
-            of each, and twice, how much they change from there to here.
-        halves: ``(W,)`` int32 the side of a cell that each column is nearest to, and
-        offsets: ``(W,)`` how far away that is, as a share of the cell; to the left less than 0.
-        columns: ``(P,)`` int32 of the pixels that are wanted, row by row, and
-        starts: ``(H + 1,)`` where rows begin.
-        matrix: ``(3, 4)`` world points to homogeneous virtual pixels.
-        numbers: ``(28,)``, and
-        elsewhere: ``(TOGETHER,)``, and
-        scratch: ``(TOGETHER,)``, and
-        cells: ``(TOGETHER,)`` int32; see ``splat_kernels``.
-    """
-
-    corners: Float32Array
-    mesh: Float32Array
-    empty: IntArray
-    filled: Float32Array
-    edges: Float32Array
-    halves: Int32Array
-    offsets: Float32Array
-    columns: Int32Array
-    starts: IntArray
-    matrix: FloatArray
-    numbers: Float32Array
-    elsewhere: Float32Array
-    scratch: Float32Array
-    cells: Int32Array
-
-
-@compiled_step
-def surface_room_for(width: int, height: int, spacing: float, wanted: Int32Array) -> SurfaceRoom:
-    """Memory for images of one size, corners so many pixels apart, and the pixels (P,) wanted."""
-    pixel_columns, starts = np.empty(len(wanted), np.int32), np.zeros(height + 1, np.int64)
-    for number in range(len(wanted)):
-        pixel_columns[number] = wanted[number] % width
-        starts[wanted[number] // width + 1] = number + 1
-    for row in range(height):
-        starts[row + 1] = max(starts[row + 1], starts[row])
-    rows = int(np.ceil((height - 1) / spacing)) + 1
-    columns = int(np.ceil((width - 1) / spacing)) + 1
-    halves, offsets = np.empty(width, np.int32), np.empty(width, np.float32)
-    for column in range(width):
-        left = min(int(column / spacing), columns - 1)
-        is_right = column / spacing - left >= 0.5
-        halves[column] = left + columns if is_right else left
-        offsets[column] = column / spacing - (left + 1 if is_right else left)
-    elsewhere = np.empty(TOGETHER, np.float32)
-    for number in range(TOGETHER):
-        elsewhere[number] = (rows + 2) * (columns + 2) + number % ELSEWHERE
-    return SurfaceRoom(
-        np.empty((rows + 2) * (columns + 2) + ELSEWHERE, np.float32),
-        np.empty((rows + 1, columns + 1), np.float32),
-        np.empty(rows * columns, np.int64),
-        np.empty(rows * columns, np.float32),
-        np.empty(4 * columns, np.float32),
-        halves,
-        offsets,
-        pixel_columns,
-        starts,
-        np.empty((3, 4)),
-        np.empty(28, np.float32),
-        elsewhere,
-        np.empty(TOGETHER, np.float32),
-        np.empty(TOGETHER, np.int32),
-    )
 
 
 @compiled_leaf
@@ -362,38 +289,39 @@ def plane_surfaces(
         plane_surface(poses[index], rays, plane, surfaces[index])
 
 
-@compiled
+@compiled_kernel
 def sample_depths(
     views: ViewArrays,
     usual_inverse_depth: float,
     poses: FloatArray,
-    intrinsics: FloatArray,
-    spacing: float,
-) -> tuple[IntArray, DepthSamples]:
-    """What is projected of the depth maps into B virtual images.
+    costs: FloatArray,
+    sources: IntArray,
+    samples: DepthSamples,
+) -> None:
+    """Chooses what is projected of the depth maps into B virtual images.
 
     Args:
         views: the light field.
         usual_inverse_depth: the median of all depth maps.
         poses: (B, 4, 4) world_from_camera.
-        intrinsics: (4,) fx, fy, cx, cy.
-        spacing: of the mesh's corners, virtual pixels.
-
-    Returns:
-        (B, SOURCE_VIEWS) the views whose depth maps make each image's surface, -1 behind the last;
-        and samples of them all.
+        costs: (SOURCE_VIEWS,) overwritten.
+        sources: (B, SOURCE_VIEWS) receives the views whose depth maps make each image's surface,
+            -1 behind the last.
+        samples: receives samples of them all.
     """
-    sources = np.full((len(poses), SOURCE_VIEWS), -1, np.int64)
-    is_source, costs = np.zeros(len(views.centres), np.bool_), np.empty(SOURCE_VIEWS)
+    for view in range(len(samples.is_source)):
+        samples.is_source[view] = False
     for index in range(len(poses)):
         own = sources[index]
-        for number in range(_choose_sources(views, usual_inverse_depth, poses[index], costs, own)):
-            is_source[own[number]] = True
-    focal = 0.5 * (intrinsics[0] + intrinsics[1])
-    return sources, depth_samples(views, is_source, focal, spacing)
+        count = _choose_sources(views, usual_inverse_depth, poses[index], costs, own)
+        for number in range(count):
+            samples.is_source[own[number]] = True
+        for number in range(count, SOURCE_VIEWS):
+            own[number] = -1
+    fill_samples(views, samples)
 
 
-@compiled
+@compiled_kernel
 def depth_surfaces(
     views: ViewArrays,
     samples: DepthSamples,
@@ -401,7 +329,7 @@ def depth_surfaces(
     poses: FloatArray,
     intrinsics: FloatArray,
     spacing: float,
-    wanted: Int32Array,
+    room: SurfaceRoom,
     surfaces: Float32Array,
 ) -> None:
     """Writes the depth maps' surface (B, H, W) in B virtual images; see ``_depth_surface``.
@@ -413,10 +341,9 @@ def depth_surfaces(
         poses: (B, 4, 4) world_from_camera.
         intrinsics: (4,) fx, fy, cx, cy.
         spacing: of the mesh's corners, virtual pixels.
-        wanted: (P,) int32 indices of the pixels that matter, rising.
+        room: for images of this size and the pixels that matter; changed.
         surfaces: (B, H, W) receives their inverse depths.
     """
-    room = surface_room_for(surfaces.shape[2], surfaces.shape[1], spacing, wanted)
     for index in range(len(poses)):
         _depth_surface(
             views,

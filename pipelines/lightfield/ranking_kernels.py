@@ -197,10 +197,10 @@ def _find_hidden(views: ViewArrays, view: int, scratch: Float32Array) -> bool:
             views.level_size[view, 0, 0],
             views.level_size[view, 0, 1],
             scratch,
-            COLUMN,
-            ROW,
-            INVERSE,
-            SEEN,
+            np.uintp(COLUMN),
+            np.uintp(ROW),
+            np.uintp(INVERSE),
+            np.uintp(SEEN),
             POINTS,
         ):
             return False

@@ -22,10 +22,12 @@ from pipelines.lightfield.blending import Blending, outlook_positions, tile_bord
 from pipelines.lightfield.comparison import Cost, prepared
 from pipelines.lightfield.devices import Device, chosen_gpu
 from pipelines.lightfield.kernels import NO_COMPARISON, render_nets, render_tiles
-from pipelines.lightfield.proxy import Quality, cell_size, usual_inverse_depth
+from pipelines.lightfield.proxy import SOURCE_VIEWS, Quality, cell_size, usual_inverse_depth
 from pipelines.lightfield.proxy_kernels import depth_surfaces, plane_surfaces, sample_depths
 from pipelines.lightfield.reference import frustum_positions
 from pipelines.lightfield.scene import Scene
+from pipelines.lightfield.splat_kernels import samples_for
+from pipelines.lightfield.surface_room import surface_room_for
 from pipelines.lightfield.view_index import build_index
 from pipelines.lightfield.views import Views, views_of_scene, without_depth
 from pipelines.lightfield.workspace import LightField, workspace_for
@@ -291,13 +293,16 @@ class Renderer:
             return of_plane
         arrays, usual = self.views.arrays, self._usual_inverse_depth
         spacing = float(cell_size(self.views, intrinsics, self.quality))
-        sources, samples = sample_depths(arrays, usual, poses, vector, spacing)
+        samples = samples_for(arrays, 0.5 * (intrinsics.fx + intrinsics.fy), spacing)
+        sources = np.empty((len(poses), SOURCE_VIEWS), dtype=np.int64)
+        sample_depths(arrays, usual, poses, np.empty(SOURCE_VIEWS), sources, samples)
         wanted = _surface_pixels(intrinsics, chosen)
 
         def of_depths(part: slice) -> Float32Array:
             surfaces = np.empty((len(poses[part]), *size), dtype=np.float32)
+            room = surface_room_for(intrinsics.width, intrinsics.height, spacing, wanted)
             own = poses[part]
-            depth_surfaces(arrays, samples, sources[part], own, vector, spacing, wanted, surfaces)
+            depth_surfaces(arrays, samples, sources[part], own, vector, spacing, room, surfaces)
             return surfaces
 
         return of_depths

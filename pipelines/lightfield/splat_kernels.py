@@ -11,8 +11,10 @@ from pipelines.artifacts.array_types import (
     Int32Array,
     IntArray,
 )
-from pipelines.lightfield.compiled import compiled_leaf, compiled_loop, compiled_step
+from pipelines.lightfield.aligned_memory import aligned
+from pipelines.lightfield.compiled import compiled_leaf, compiled_loop
 from pipelines.lightfield.proxy import SAMPLES_PER_CELL
+from pipelines.lightfield.record_type import compiled_record
 from pipelines.lightfield.views import ViewArrays
 
 # Samples that are worked on together; always so many, so that none are left over. They are taken
@@ -21,19 +23,24 @@ TOGETHER, STRIP = 128, 12
 # Behind the mesh, what lies outside goes to so many places by turns: numbers that are written to
 # one place, one after the other, wait for each other.
 ELSEWHERE = 16
-# Points nearer to the camera's plane than this share of their recorded depth are left out.
 # By so much of a cell single precision errs at most.
 MARGIN = np.float32(0.01)
+# A view's map into the mesh, and the mesh's four borders.
+NUMBERS = 28
+# Points nearer to the camera's plane than this share of their recorded depth are left out.
 SMALLEST_DEPTH = np.float32(1e-9)
 HALF, ONE, ZERO = np.float32(0.5), np.float32(1.0), np.float32(0.0)
 
 
+@compiled_record
 class DepthSamples(NamedTuple):
-    """What is projected of the depth maps, for one size of the mesh's cells: S samples.
+    """What is projected of the depth maps, for one size of the mesh's cells: up to S samples.
 
     They stand in batches of ``TOGETHER`` that lie near each other; a view's last batch is not full.
 
     Attributes:
+        is_source: ``(N,)`` which views' depth maps are sampled.
+        strides: ``(N,)`` every how many of their pixels.
         starts: ``(N,)`` where each view's samples begin, at the beginning of a batch, and
         ends: ``(N,)`` where they end.
         columns: ``(S,)`` in the depth map, from its middle, and
@@ -43,68 +50,82 @@ class DepthSamples(NamedTuple):
             and how far these go from there.
     """
 
+    is_source: BoolArray
+    strides: IntArray
     starts: IntArray
     ends: IntArray
     columns: Float32Array
     rows: Float32Array
     inverse_depth: Float32Array
-    boxes: FloatArray
+    boxes: Float32Array
 
 
-@compiled_step
-def depth_samples(
-    views: ViewArrays, is_source: BoolArray, focal: float, spacing: float
-) -> DepthSamples:
-    """Chooses samples of depth maps, somewhat denser than a mesh's corners will be.
+def samples_for(views: ViewArrays, focal: float, spacing: float) -> DepthSamples:
+    """Memory for samples of depth maps that are somewhat denser than a mesh's corners will be.
 
     Args:
         views: the light field.
-        is_source: (N,) whose depth maps are wanted.
         focal: of the virtual camera, pixels.
         spacing: of the mesh's corners, virtual pixels.
     """
-    count = len(views.centres)
-    starts, ends = np.zeros(count, np.int64), np.zeros(count, np.int64)
-    strides = np.ones(count, np.int64)
-    most = 0
-    for view in range(count):
-        if not is_source[view]:
-            continue
-        width, height = views.depth_size[view, 0], views.depth_size[view, 1]
-        scale = width / views.level_size[view, 0, 0]
-        stride = max(1, int(spacing * views.focal[view] * scale / focal / SAMPLES_PER_CELL))
-        strides[view] = stride
-        samples = ((width + stride - 1) // stride) * ((height + stride - 1) // stride)
-        most += (samples + TOGETHER - 1) // TOGETHER * TOGETHER
-    columns, rows = np.zeros(most, np.float32), np.zeros(most, np.float32)
-    inverse_depth = np.zeros(most, np.float32)
+    width, height = views.depth_size[:, 0], views.depth_size[:, 1]
+    scale = width / views.level_size[:, 0, 0]
+    wanted = (spacing * views.focal * scale / focal / SAMPLES_PER_CELL).astype(np.int64)
+    strides = np.maximum(wanted, 1)
+    batches = -(-(-(-width // strides) * -(-height // strides)) // TOGETHER)
+    # Only what is written to takes memory.
+    most, count = int(batches.sum()) * TOGETHER, len(width)
+    return DepthSamples(
+        np.empty(count, np.bool_),
+        strides,
+        np.empty(count, np.int64),
+        np.empty(count, np.int64),
+        aligned(most, np.float32),
+        aligned(most, np.float32),
+        aligned(most, np.float32),
+        np.empty((most // TOGETHER, 6), np.float32),
+    )
+
+
+@compiled_leaf
+def fill_samples(views: ViewArrays, samples: DepthSamples) -> None:
+    """Takes the samples of the views that are marked as sources."""
+    columns, rows, inverse_depth = samples.columns, samples.rows, samples.inverse_depth
     found = 0
-    for view in range(count):
-        if not is_source[view]:
-            continue
-        width, height = views.depth_size[view, 0], views.depth_size[view, 1]
-        stride, starts[view] = strides[view], found
-        # Column by column of a strip, so that batches are about as wide as high.
-        for top in range(0, height, STRIP * stride):
-            for column in range(0, width, stride):
-                for row in range(top, min(top + STRIP * stride, height), stride):
-                    value = views.inverse_depth[views.depth_start[view] + row * width + column]
-                    if value > 0.0:
-                        columns[found] = column + 0.5 - 0.5 * width
-                        rows[found] = row + 0.5 - 0.5 * height
-                        inverse_depth[found] = value
-                        found += 1
-        ends[view] = found
+    for view in range(len(samples.is_source)):
+        samples.starts[view] = found
+        if samples.is_source[view]:
+            width, height = views.depth_size[view, 0], views.depth_size[view, 1]
+            start, stride = views.depth_start[view], samples.strides[view]
+            # Column by column of a strip, so that batches are about as wide as high.
+            for top in range(0, height, STRIP * stride):
+                for column in range(0, width, stride):
+                    for row in range(top, min(top + STRIP * stride, height), stride):
+                        value = views.inverse_depth[start + row * width + column]
+                        if value > ZERO:
+                            columns[found] = column + 0.5 - 0.5 * width
+                            rows[found] = row + 0.5 - 0.5 * height
+                            inverse_depth[found] = value
+                            found += 1
+        samples.ends[view] = found
+        for first in range(samples.starts[view], found, TOGETHER):
+            last, batch = min(first + TOGETHER, found), first // TOGETHER
+            _set_box(columns, first, last, samples.boxes, batch, 0)
+            _set_box(rows, first, last, samples.boxes, batch, 1)
+            _set_box(inverse_depth, first, last, samples.boxes, batch, 2)
         found = (found + TOGETHER - 1) // TOGETHER * TOGETHER
-    boxes = np.zeros((most // TOGETHER, 6))
-    for view in range(count):
-        for first in range(starts[view], ends[view], TOGETHER):
-            last = min(first + TOGETHER, ends[view])
-            for axis, values in enumerate((columns, rows, inverse_depth)):
-                low, high = values[first:last].min(), values[first:last].max()
-                boxes[first // TOGETHER, axis] = 0.5 * (low + high)
-                boxes[first // TOGETHER, 3 + axis] = 0.5 * (high - low)
-    return DepthSamples(starts, ends, columns, rows, inverse_depth, boxes)
+
+
+@compiled_leaf
+def _set_box(
+    values: Float32Array, first: int, last: int, boxes: Float32Array, batch: int, axis: int
+) -> None:
+    """Writes the middle of some values and how far they go from there."""
+    low, high = values[first], values[first]
+    for i in range(first + 1, last):
+        low, high = min(low, values[i]), max(high, values[i])
+    boxes[batch, axis] = HALF * (low + high)
+    boxes[batch, 3 + axis] = HALF * (high - low)
 
 
 @compiled_leaf
@@ -112,7 +133,7 @@ def _set_borders(numbers: Float32Array, width: int, height: int) -> None:
     """Writes linear functions of a sample that are negative outside of the mesh.
 
     Args:
-        numbers: (28,) the first twelve as ``_place`` takes them; behind them four functions of
+        numbers: (NUMBERS,) the first twelve as ``_place`` takes them; behind them four functions of
             column, row, 1 and inverse depth.
         width: of the mesh, and
         height: of it.
@@ -126,9 +147,9 @@ def _set_borders(numbers: Float32Array, width: int, height: int) -> None:
 
 
 @compiled_leaf
-def _is_outside(boxes: FloatArray, batch: int, numbers: Float32Array) -> bool:
+def _is_outside(boxes: Float32Array, batch: int, numbers: Float32Array) -> bool:
     """Whether a batch lies outside of the mesh, beyond one of its borders."""
-    for border in range(12, 28, 4):
+    for border in range(12, NUMBERS, 4):
         highest = np.float64(numbers[border + 2])
         for axis in range(3):
             factor = numbers[border + axis] if axis < 2 else numbers[border + 3]
@@ -161,7 +182,7 @@ def splat(
         view: whose depth map.
         matrix: (3, 4) world points to homogeneous virtual pixels.
         spacing: of the mesh's corners, virtual pixels.
-        numbers: (28,) overwritten.
+        numbers: (NUMBERS,) overwritten.
         elsewhere: (TOGETHER,) places behind the mesh, by turns.
         scratch: (TOGETHER,) overwritten.
         cells: (TOGETHER,) int32, overwritten.

@@ -12,6 +12,7 @@ from pipelines.artifacts.array_types import (
     Int32Array,
     IntArray,
 )
+from pipelines.lightfield.aligned_memory import aligned
 from pipelines.lightfield.blending import VIEWS_PER_TILE
 from pipelines.lightfield.blending_kernels import Tiling, tiling_for
 from pipelines.lightfield.net_cell_kernels import NetRoom, net_room_for
@@ -22,8 +23,6 @@ from pipelines.lightfield.texel_intrinsic import LANES
 from pipelines.lightfield.view_index import ViewIndex
 from pipelines.lightfield.views import ViewArrays
 
-# Bytes of a number in single precision, and of a processor's widest vector.
-NUMBER_SIZE, ALIGNMENT = 4, 64
 # A cell has fewer views than this.
 SLOTS = 16
 # Pixels that their cells leave empty are shown by others so many at a time.
@@ -232,13 +231,11 @@ def workspace_for(field: LightField, width: int, height: int, chosen: Int32Array
 
 def _chunk_memory() -> tuple[Float32Array, Int32Array, Int32Array]:
     """A chunk's scratch and two rows of whole numbers, aligned for the widest vectors."""
-    count = SCRATCH_SIZE + 2 * ROW_LENGTH
-    memory = np.zeros(count * NUMBER_SIZE + ALIGNMENT, np.uint8)
-    start = -memory.ctypes.data % ALIGNMENT
-    numbers = memory[start : start + count * NUMBER_SIZE]
+    numbers = aligned(SCRATCH_SIZE + 2 * ROW_LENGTH, np.float32)
+    numbers[:] = 0.0
     rows = numbers.view(np.int32)
     return (
-        numbers.view(np.float32)[:SCRATCH_SIZE],
+        numbers[:SCRATCH_SIZE],
         rows[SCRATCH_SIZE : SCRATCH_SIZE + ROW_LENGTH],
         rows[SCRATCH_SIZE + ROW_LENGTH :],
     )
