@@ -17,7 +17,7 @@ from pipelines.artifacts.array_types import (
 from pipelines.lightfield.compiled import compiled_leaf, compiled_part
 from pipelines.lightfield.mapping_kernels import is_inside, locate, view_mapping
 from pipelines.lightfield.net_kernels import build_net
-from pipelines.lightfield.occlusion_kernels import find_hidden
+from pipelines.lightfield.occlusion_kernels import SMALL_MAP, find_hidden
 from pipelines.lightfield.pixel_order_kernels import PixelOrder, order_by_label
 from pipelines.lightfield.reference import FRUSTUM_SAMPLES
 from pipelines.lightfield.sampling_kernels import (
@@ -216,6 +216,8 @@ def blend_cells(
                 field.views.inverse_depth,
                 field.views.depth_start,
                 field.views.depth_size,
+                field.views.blocks,
+                field.views.block_start,
                 space.rays,
                 space.maps,
                 space.shifts,
@@ -246,6 +248,8 @@ def _blend_chunk(
     inverse_depth: Float32Array,
     depth_start: IntArray,
     depth_size: IntArray,
+    blocks: Float32Array,
+    block_start: IntArray,
     rays: FloatArray,
     maps: FloatArray,
     shifts: FloatArray,
@@ -300,13 +304,15 @@ def _blend_chunk(
         )
         if here > 0:
             if has_depth and find_hidden(
+                blocks,
+                block_start[view],
                 inverse_depth,
                 depth_start[view],
-                1,
                 depth_size[view, 0],
                 depth_size[view, 1],
                 full_width,
                 full_height,
+                SMALL_MAP,
                 scratch,
                 COLUMN,
                 ROW,

@@ -2,7 +2,6 @@
 
 Depth maps are too large for the processor's near memory. The nearest values in squares of them
 (``ViewArrays.blocks``) are not, and leave only points near the edges of things to be looked up.
-That pays where points are scattered; those of a chunk that is blended lie near each other.
 """
 
 import numpy as np
@@ -11,8 +10,11 @@ from pipelines.artifacts.array_types import Float32Array, IntArray
 from pipelines.lightfield.blending import OCCLUSION_FACTOR
 from pipelines.lightfield.compiled import compiled_leaf, compiled_part
 from pipelines.lightfield.texel_intrinsic import LANES, find_hidden_lanes
+from pipelines.lightfield.views import BLOCK_SIDE
 
 HIDDEN = np.float32(OCCLUSION_FACTOR)
+# Values of one depth map that the near memory holds, beside the photo.
+SMALL_MAP = 1 << 15
 
 
 @compiled_leaf
@@ -49,13 +51,15 @@ def is_occluded(
 
 @compiled_part
 def find_hidden(
-    table: Float32Array,
-    start: int,
-    side: int,
+    blocks: Float32Array,
+    block_start: int,
+    inverse_depth: Float32Array,
+    depth_start: int,
     width: int,
     height: int,
     full_width: int,
     full_height: int,
+    most: int,
     scratch: Float32Array,
     column: np.uintp,
     row: np.uintp,
@@ -66,14 +70,16 @@ def find_hidden(
     """Finds points before which a view has something nearer.
 
     Args:
-        table: inverse depths of all views, or the nearest of their blocks.
-        start: where the view's begin.
-        side: of a block; with blocks some points may be found that are not hidden, but none is
-            missed. 1: these are the depth maps themselves.
-        width: of the view's depth map; 0: there is none.
+        blocks: the nearest of the blocks of all depth maps; see ``ViewArrays``.
+        block_start: where the view's begin.
+        inverse_depth: all depth maps.
+        depth_start: where the view's begins.
+        width: of it; 0: there is none.
         height: of it.
         full_width: of the view's finest level, and
         full_height: likewise.
+        most: in depth maps of no more values than this points are looked up at once, in others
+            among the blocks first.
         scratch: with the points and the result.
         column: where the row with columns in the view's finest level begins, inside the image; and
         row: the row with rows; and
@@ -84,27 +90,33 @@ def find_hidden(
     Returns:
         Whether any is.
     """
-    is_any = False
     if width == 0:
-        return is_any
-    across, share = np.int32((width + side - 1) // side), 1.0 / side
-    scale_x, scale_y = share * width / full_width, share * height / full_height
-    last_x, last_y = share * (width - 1), share * (height - 1)
-    for number in range(0, count, LANES):
-        first = np.uintp(number)
-        is_any |= find_hidden_lanes(
-            table,
-            start,
-            across,
-            np.float32(scale_x),
-            np.float32(scale_y),
-            np.float32(last_x),
-            np.float32(last_y),
-            HIDDEN,
-            scratch,
-            column + first,
-            row + first,
-            nearness + first,
-            hidden + first,
-        )
-    return is_any
+        return False
+    table, start, side = blocks, block_start, BLOCK_SIDE
+    if width * height <= most:
+        table, start, side = inverse_depth, depth_start, 1
+    while True:
+        across, share = np.int32((width + side - 1) // side), 1.0 / side
+        scale_x, scale_y = share * width / full_width, share * height / full_height
+        last_x, last_y = share * (width - 1), share * (height - 1)
+        is_any = False
+        for number in range(0, count, LANES):
+            first = np.uintp(number)
+            is_any |= find_hidden_lanes(
+                table,
+                start,
+                across,
+                np.float32(scale_x),
+                np.float32(scale_y),
+                np.float32(last_x),
+                np.float32(last_y),
+                HIDDEN,
+                scratch,
+                column + first,
+                row + first,
+                nearness + first,
+                hidden + first,
+            )
+        if side == 1 or not is_any:
+            return is_any
+        table, start, side = inverse_depth, depth_start, 1

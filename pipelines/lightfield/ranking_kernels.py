@@ -21,7 +21,7 @@ from pipelines.lightfield.compiled import compiled_leaf, compiled_loop
 from pipelines.lightfield.occlusion_kernels import find_hidden
 from pipelines.lightfield.sorting_kernels import sort_indices
 from pipelines.lightfield.texel_intrinsic import LANES
-from pipelines.lightfield.views import BLOCK_SIDE, ViewArrays
+from pipelines.lightfield.views import ViewArrays
 
 # Points that are ranked together.
 POINTS = LANES
@@ -185,27 +185,24 @@ def _set_penalties(scratch: Float32Array, numbers: Float32Array, row: int) -> np
 @compiled_leaf
 def _find_hidden(views: ViewArrays, view: int, scratch: Float32Array) -> bool:
     """Marks points before which the view sees something nearer; returns whether any is."""
-    table, start, side = views.blocks, views.block_start[view], BLOCK_SIDE
-    # First the blocks, then the depth map itself.
-    for _ in range(2):
-        if not find_hidden(
-            table,
-            start,
-            side,
-            views.depth_size[view, 0],
-            views.depth_size[view, 1],
-            views.level_size[view, 0, 0],
-            views.level_size[view, 0, 1],
-            scratch,
-            np.uintp(COLUMN),
-            np.uintp(ROW),
-            np.uintp(INVERSE),
-            np.uintp(SEEN),
-            POINTS,
-        ):
-            return False
-        table, start, side = views.inverse_depth, views.depth_start[view], 1
-    return True
+    return find_hidden(
+        views.blocks,
+        views.block_start[view],
+        views.inverse_depth,
+        views.depth_start[view],
+        views.depth_size[view, 0],
+        views.depth_size[view, 1],
+        views.level_size[view, 0, 0],
+        views.level_size[view, 0, 1],
+        # Maps of all views are looked up in turn.
+        0,
+        scratch,
+        np.uintp(COLUMN),
+        np.uintp(ROW),
+        np.uintp(INVERSE),
+        np.uintp(SEEN),
+        POINTS,
+    )
 
 
 @compiled_loop
