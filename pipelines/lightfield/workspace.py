@@ -21,7 +21,7 @@ from pipelines.lightfield.pixel_order_kernels import (
     pixel_order_for,
 )
 from pipelines.lightfield.sampling_kernels import COEFFICIENTS, ROW_LENGTH, SCRATCH_SIZE
-from pipelines.lightfield.view_index import ViewIndex
+from pipelines.lightfield.view_index import GROUP_VIEWS, ViewIndex
 from pipelines.lightfield.views import ViewArrays
 
 # A cell has fewer views than this.
@@ -170,7 +170,8 @@ def workspace_for(field: LightField, width: int, height: int, chosen: Int32Array
     cells = 4 * count + 8 if field.is_net else tile_count(width) * tile_count(height)
     labels, origins = np.zeros((height, width), np.int64), np.zeros((cells, 2))
     size = (1, 1) if field.is_net else (width, height)
-    tiling = tiling_for(size[0], size[1], count, len(field.view_index.spheres))
+    groups = len(field.view_index.members) // GROUP_VIEWS
+    tiling = tiling_for(size[0], size[1], count, groups)
     order = pixel_order_for(chosen, width, cells)
     if not field.is_net:
         set_labels(tiling.across, tiling.down, labels)
