@@ -24,6 +24,7 @@ from pipelines.lightfield.ranking_kernels import (
     POINTS,
     RANKING_SCRATCH,
     RANKS,
+    ZERO,
     gather_depths,
     rank_views,
     set_points,
@@ -56,6 +57,8 @@ class Tiling(NamedTuple):
         few_rows: ``(POINTS,)`` int32 of those that the outlook leaves.
         slots: ``(N, 2)`` the last tile that a view was in, counted from 1, and its slot there.
         joined: ``(1,)`` how many tiles there have been.
+        at_corner: ``(4 * VIEWS_PER_TILE,)`` weights of a tile's views at its corners, one corner
+            after the other.
     """
 
     across: IntArray
@@ -72,6 +75,7 @@ class Tiling(NamedTuple):
     few_rows: Int32Array
     slots: IntArray
     joined: IntArray
+    at_corner: Float32Array
 
 
 @compiled_step
@@ -97,6 +101,7 @@ def tiling_for(width: int, height: int, view_count: int, group_count: int) -> Ti
         np.empty(POINTS, np.int32),
         np.zeros((view_count, 2), np.int64),
         np.zeros(1, np.int64),
+        np.zeros(4 * VIEWS_PER_TILE, np.float32),
     )
 
 
@@ -241,6 +246,7 @@ def build_tiles(
                 i * (across - 1) + j,
                 space.joined[0],
                 space.slots,
+                space.at_corner,
                 cell_views,
                 cell_weights,
             )
@@ -257,6 +263,7 @@ def _join_corners(
     cell: int,
     mark: int,
     slots: IntArray,
+    at_corner: Float32Array,
     cell_views: IntArray,
     cell_weights: FloatArray,
 ) -> None:
@@ -272,36 +279,39 @@ def _join_corners(
         cell: its number.
         mark: its number among all of all images.
         slots: see ``Tiling``; changed.
+        at_corner: see ``Tiling``; overwritten.
         cell_views: see ``build_tiles``.
         cell_weights: see ``build_tiles``.
     """
     # Unsigned: see ``sampling_kernels``.
     count, tile = np.uintp(0), np.uintp(cell)
-    step_x, step_y = 1.0 / width, 1.0 / height
+    for i in range(4 * VIEWS_PER_TILE):
+        at_corner[i] = ZERO
     for number in range(4):
-        lower, right = number // 2, number % 2
-        # (1-s)(1-t), s(1-t), (1-s)t, s t with s = x / width, t = y / height.
-        shape = (
-            (2 * right - 1) * (1 - lower) * step_x,
-            (2 * lower - 1) * (1 - right) * step_y,
-            float((1 - right) * (1 - lower)),
-            (2 * right - 1) * (2 * lower - 1) * step_x * step_y,
-        )
-        corner = upper_left + lower * across + right
+        corner = upper_left + number // 2 * across + number % 2
         first = corner // POINTS * (VIEWS_PER_CORNER * POINTS) + corner % POINTS
         for rank in range(VIEWS_PER_CORNER):
             entry = np.uintp(first + rank * POINTS)
             if corner_views[entry] < 0:
                 break
-            view, weight = np.uintp(corner_views[entry]), np.float64(corner_weights[entry])
+            view = np.uintp(corner_views[entry])
             # No branches: which views come again nobody can foresee.
             is_new = slots[view, 0] != mark
             slot = either(is_new, count, np.uintp(slots[view, 1]))
             count += np.uintp(is_new)
             slots[view, 0], slots[view, 1] = mark, slot
             cell_views[tile, slot] = view
-            for k in range(4):
-                before = either(is_new, 0.0, cell_weights[tile, slot, k])
-                cell_weights[tile, slot, k] = before + weight * shape[k]
+            at_corner[slot + np.uintp(number * VIEWS_PER_TILE)] = corner_weights[entry]
     if count < np.uintp(VIEWS_PER_TILE):
         cell_views[tile, count] = -1
+    step_x, step_y = 1.0 / width, 1.0 / height
+    for slot in range(count):
+        a = np.float64(at_corner[slot])
+        b = np.float64(at_corner[slot + np.uintp(VIEWS_PER_TILE)])
+        c = np.float64(at_corner[slot + np.uintp(2 * VIEWS_PER_TILE)])
+        d = np.float64(at_corner[slot + np.uintp(3 * VIEWS_PER_TILE)])
+        # a (1-s)(1-t) + b s (1-t) + c (1-s) t + d s t with s = x / width, t = y / height.
+        cell_weights[tile, slot, 0] = (b - a) * step_x
+        cell_weights[tile, slot, 1] = (c - a) * step_y
+        cell_weights[tile, slot, 2] = a
+        cell_weights[tile, slot, 3] = (a - b - c + d) * step_x * step_y
