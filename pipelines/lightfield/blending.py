@@ -37,10 +37,10 @@ FEWEST_TILES, MOST_TILES = 6, 40
 VIEWS_PER_CORNER = 3
 # A tile blends the views of its four corners.
 VIEWS_PER_TILE = 4 * VIEWS_PER_CORNER
-# So many views are ranked at every corner. Of more, only the best few at any of so many points
+# So many views are ranked at every corner. Of more, only the best ones at any of so many points
 # across and down.
 MOST_RANKED = 64
-OUTLOOK_POINTS, OUTLOOK_VIEWS = 4, 2
+OUTLOOK_POINTS = 4
 # Cost of a view at twice the distance, in radians of viewing angle.
 RESOLUTION_PENALTY = 0.05
 # The penalty of the border begins at this share of the shorter side from it, and is so many radians
@@ -143,9 +143,9 @@ def unstructured_weights(
     if usable.sum() > MOST_RANKED:
         outlook = [outlook_positions(size) for size in (intrinsics.width, intrinsics.height)]
         found = weights_at(outlook[0], outlook[1], usable).reshape(-1, len(views))
-        best = np.argsort(-found, axis=1, kind="stable")[:, :OUTLOOK_VIEWS]
         usable = np.zeros_like(usable)
-        usable[best[np.take_along_axis(found, best, axis=1) > 0.0]] = True
+        # The best view has the largest weight.
+        usable[found.argmax(axis=1)[found.any(axis=1)]] = True
     columns, rows = tile_borders(intrinsics.width), tile_borders(intrinsics.height)
     at_corner = weights_at(columns, rows, usable)
     shape = (intrinsics.height, intrinsics.width, VIEWS_PER_TILE)

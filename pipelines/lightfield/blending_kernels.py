@@ -12,31 +12,27 @@ import numpy as np
 from pipelines.artifacts.array_types import Float32Array, FloatArray, Int32Array, IntArray
 from pipelines.lightfield.blending import (
     MOST_RANKED,
-    OUTLOOK_VIEWS,
     VIEWS_PER_CORNER,
     VIEWS_PER_TILE,
     outlook_positions,
     tile_borders,
 )
 from pipelines.lightfield.compiled import compiled_leaf
+from pipelines.lightfield.outlook_kernels import look_out
 from pipelines.lightfield.ranking_kernels import (
     POINTS,
     RANKING_SCRATCH,
     RANKS,
+    ZERO,
     gather_depths,
-    order_groups,
     rank_views,
     set_points,
     set_shares,
 )
 from pipelines.lightfield.record_type import compiled_record
-from pipelines.lightfield.view_index import VIEW_NUMBERS, ViewIndex
+from pipelines.lightfield.texel_intrinsic import either
+from pipelines.lightfield.view_index import ViewIndex
 from pipelines.lightfield.views import ViewArrays
-
-# Views that many are narrowed down to, at most. The outlook's points are one batch.
-MOST_NARROWED = OUTLOOK_VIEWS * POINTS
-# Instead of the last tile that a view was in.
-NARROWED = -2
 
 
 @compiled_record
@@ -52,17 +48,18 @@ class Tiling(NamedTuple):
         columns: ``(C,)`` of the points' pixels, and
         rows: likewise, and
         pixels: ``(C,)`` int32 their indices.
-        views: ``(VIEWS_PER_CORNER, C)`` int32 the best at each point; -1: none.
-        weights: ``(VIEWS_PER_CORNER, C)`` their weights.
+        views: ``(VIEWS_PER_CORNER * C,)`` int32 the best at each point; -1: none. A batch of points
+            after the other, and in each rank by rank.
+        weights: ``(VIEWS_PER_CORNER * C,)`` their weights.
         ranking: ``(RANKING_SCRATCH,)`` see ``ranking_kernels``.
-        best: ``(RANKS * POINTS,)`` int32, likewise.
-        deviations: ``(G,)`` of the groups of views, and
-        groups: ``(G,)`` in which order they are looked at.
-        narrow_order: ``(MOST_NARROWED,)`` int32 and
-        narrow_starts: ``(2,)`` and
-        narrow_numbers: ``(MOST_NARROWED, VIEW_NUMBERS)``: an index of a few of the views.
-        slots: ``(2, N)`` the last tile that a view was in, and its slot there.
-        at_corner: ``(VIEWS_PER_TILE, 4)`` weights of a tile's views at its corners.
+        best: ``(RANKS * POINTS,)`` int32.
+        bounds: ``(G * POINTS,)`` of the penalties of groups of views.
+        all_rows: ``(N,)`` int32 0, 1, 2, ...: rows of the views in the index, and
+        few_rows: ``(POINTS,)`` int32 of those that the outlook leaves.
+        slots: ``(N, 2)`` the last tile that a view was in, counted from 1, and its slot there.
+        joined: ``(1,)`` how many tiles there have been.
+        at_corner: ``(4 * VIEWS_PER_TILE,)`` weights of a tile's views at its corners, one corner
+            after the other.
     """
 
     across: IntArray
@@ -74,13 +71,12 @@ class Tiling(NamedTuple):
     weights: Float32Array
     ranking: Float32Array
     best: Int32Array
-    deviations: FloatArray
-    groups: IntArray
-    narrow_order: Int32Array
-    narrow_starts: IntArray
-    narrow_numbers: Float32Array
+    bounds: Float32Array
+    all_rows: Int32Array
+    few_rows: Int32Array
     slots: IntArray
-    at_corner: FloatArray
+    joined: IntArray
+    at_corner: Float32Array
 
 
 def tiling_for(width: int, height: int, view_count: int, group_count: int) -> Tiling:
@@ -89,17 +85,16 @@ def tiling_for(width: int, height: int, view_count: int, group_count: int) -> Ti
     points = len(places[-1])
     return Tiling(
         *places,
-        np.empty((VIEWS_PER_CORNER, points), np.int32),
-        np.empty((VIEWS_PER_CORNER, points), np.float32),
+        np.empty(VIEWS_PER_CORNER * points, np.int32),
+        np.empty(VIEWS_PER_CORNER * points, np.float32),
         np.empty(RANKING_SCRATCH, np.float32),
         np.empty(RANKS * POINTS, np.int32),
-        np.empty(group_count + 1),
-        np.zeros(group_count + 1, np.int64),
-        np.empty(MOST_NARROWED, np.int32),
-        np.zeros(2, np.int64),
-        np.empty((MOST_NARROWED, VIEW_NUMBERS), np.float32),
-        np.empty((2, view_count), np.int64),
-        np.empty((VIEWS_PER_TILE, 4)),
+        np.empty(group_count * POINTS, np.float32),
+        np.arange(view_count, dtype=np.int32),
+        np.empty(POINTS, np.int32),
+        np.zeros((view_count, 2), np.int64),
+        np.zeros(1, np.int64),
+        np.zeros(4 * VIEWS_PER_TILE, np.float32),
     )
 
 
@@ -141,26 +136,23 @@ def set_labels(across: IntArray, down: IntArray, labels: IntArray) -> None:
 
 
 @compiled_leaf
-def _narrow(index: ViewIndex, space: Tiling) -> int:
-    """Makes an index of those views alone that are the best at the points of the outlook.
+def _narrow(best: Int32Array, rows: Int32Array) -> int:
+    """Writes, rising, the rows of the views that are the best at any point of the outlook.
 
     Returns:
         Their number.
     """
     count = 0
-    space.slots[0] = -1
-    for rank in range(OUTLOOK_VIEWS):
-        for point in range(POINTS):
-            view = space.views[rank, point]
-            if view < 0 or space.weights[rank, point] <= 0.0:
-                continue
-            if space.slots[0, view] != NARROWED:
-                space.slots[0, view] = NARROWED
-                space.narrow_order[count] = view
-                place = index.places[view]
-                for i in range(VIEW_NUMBERS):
-                    space.narrow_numbers[count, i] = index.numbers[place, i]
-                count += 1
+    for point in range(POINTS):
+        row, place = best[point], count
+        while place > 0 and rows[place - 1] > row:
+            place -= 1
+        if row < 0 or (place > 0 and rows[place - 1] == row):
+            continue
+        for later in range(count, place, -1):
+            rows[later] = rows[later - 1]
+        rows[place] = row
+        count += 1
     return count
 
 
@@ -190,36 +182,23 @@ def build_tiles(
         cell_weights: (c, VIEWS_PER_TILE, 4) receives coefficients of x, y, 1, x y, relative to the
             tiles' upper left corners.
     """
-    numbers, order, starts = index.numbers, index.order, index.starts
-    groups, start = len(index.spheres), 0 if len(order) > MOST_RANKED else POINTS
-    for first in range(start, len(space.pixels), POINTS):
+    rows, count = space.all_rows, len(index.order)
+    for first in range(0 if count > MOST_RANKED else POINTS, len(space.pixels), POINTS):
         gather_depths(surface, space.pixels, np.uintp(first), space.ranking)
         set_points(
             pose, rays, index.origin, space.columns, space.rows, np.uintp(first), space.ranking
         )
-        if first == start:
-            order_groups(index.spheres, space.ranking, space.deviations, space.groups)
-        rank_views(
-            views,
-            numbers,
-            order,
-            starts,
-            index.spheres,
-            space.groups,
-            groups,
-            has_depth,
-            space.ranking,
-            space.best,
-        )
-        set_shares(space.ranking, space.best, first, space.views, space.weights)
         if first == 0:
-            space.narrow_starts[1] = _narrow(index, space)
-            numbers, order, starts = space.narrow_numbers, space.narrow_order, space.narrow_starts
-            groups, space.groups[0] = 1, 0
-    space.slots[0] = -1
+            look_out(views, index, has_depth, space.ranking, space.best, space.bounds)
+            rows, count = space.few_rows, _narrow(space.best, space.few_rows)
+            continue
+        rank_views(views, index, rows, count, has_depth, space.ranking, space.best)
+        start = np.uintp(first * VIEWS_PER_CORNER)
+        set_shares(space.ranking, space.best, start, space.views, space.weights)
     across = len(space.across)
     for i in range(len(space.down) - 1):
         for j in range(across - 1):
+            space.joined[0] += 1
             _join_corners(
                 space.views,
                 space.weights,
@@ -228,6 +207,7 @@ def build_tiles(
                 max(space.across[j + 1] - space.across[j], 1),
                 max(space.down[i + 1] - space.down[i], 1),
                 i * (across - 1) + j,
+                space.joined[0],
                 space.slots,
                 space.at_corner,
                 cell_views,
@@ -244,47 +224,57 @@ def _join_corners(
     width: int,
     height: int,
     cell: int,
+    mark: int,
     slots: IntArray,
-    at_corner: FloatArray,
+    at_corner: Float32Array,
     cell_views: IntArray,
     cell_weights: FloatArray,
 ) -> None:
     """Writes the views of a tile's corners and the bilinear functions of their weights.
 
     Args:
-        corner_views: (VIEWS_PER_CORNER, C), corner_weights: likewise.
-        corner_weights: see there.
+        corner_views: see ``Tiling``, and
+        corner_weights: likewise.
         upper_left: index of the tile's first corner.
         across: corners in a row.
         width: of the tile.
         height: of the tile.
         cell: its number.
-        slots: (2, N) the last cell that a view was in, and its slot there; changed.
-        at_corner: (VIEWS_PER_TILE, 4) overwritten.
+        mark: its number among all of all images.
+        slots: see ``Tiling``; changed.
+        at_corner: see ``Tiling``; overwritten.
         cell_views: see ``build_tiles``.
         cell_weights: see ``build_tiles``.
     """
-    count = 0
-    step_x, step_y = 1.0 / width, 1.0 / height
+    # Unsigned: see ``sampling_kernels``.
+    count, tile = np.uintp(0), np.uintp(cell)
+    for i in range(4 * VIEWS_PER_TILE):
+        at_corner[i] = ZERO
     for number in range(4):
         corner = upper_left + number // 2 * across + number % 2
+        first = corner // POINTS * (VIEWS_PER_CORNER * POINTS) + corner % POINTS
         for rank in range(VIEWS_PER_CORNER):
-            view = corner_views[rank, corner]
-            if view < 0:
+            entry = np.uintp(first + rank * POINTS)
+            if corner_views[entry] < 0:
                 break
-            if slots[0, view] != cell:
-                slots[0, view], slots[1, view] = cell, count
-                cell_views[cell, count] = view
-                for other in range(4):
-                    at_corner[count, other] = 0.0
-                count += 1
-            at_corner[slots[1, view], number] = corner_weights[rank, corner]
-    if count < VIEWS_PER_TILE:
-        cell_views[cell, count] = -1
+            view = np.uintp(corner_views[entry])
+            # No branches: which views come again nobody can foresee.
+            is_new = slots[view, 0] != mark
+            slot = either(is_new, count, np.uintp(slots[view, 1]))
+            count += np.uintp(is_new)
+            slots[view, 0], slots[view, 1] = mark, slot
+            cell_views[tile, slot] = view
+            at_corner[slot + np.uintp(number * VIEWS_PER_TILE)] = corner_weights[entry]
+    if count < np.uintp(VIEWS_PER_TILE):
+        cell_views[tile, count] = -1
+    step_x, step_y = 1.0 / width, 1.0 / height
     for slot in range(count):
-        a, b, c, d = at_corner[slot, 0], at_corner[slot, 1], at_corner[slot, 2], at_corner[slot, 3]
+        a = np.float64(at_corner[slot])
+        b = np.float64(at_corner[slot + np.uintp(VIEWS_PER_TILE)])
+        c = np.float64(at_corner[slot + np.uintp(2 * VIEWS_PER_TILE)])
+        d = np.float64(at_corner[slot + np.uintp(3 * VIEWS_PER_TILE)])
         # a (1-s)(1-t) + b s (1-t) + c (1-s) t + d s t with s = x / width, t = y / height.
-        cell_weights[cell, slot, 0] = (b - a) * step_x
-        cell_weights[cell, slot, 1] = (c - a) * step_y
-        cell_weights[cell, slot, 2] = a
-        cell_weights[cell, slot, 3] = (a - b - c + d) * step_x * step_y
+        cell_weights[tile, slot, 0] = (b - a) * step_x
+        cell_weights[tile, slot, 1] = (c - a) * step_y
+        cell_weights[tile, slot, 2] = a
+        cell_weights[tile, slot, 3] = (a - b - c + d) * step_x * step_y

@@ -150,7 +150,8 @@ def estimate_depth(
     )
     index = _aggregate(volume, reference, settings)
     distinct = np.empty_like(reference)
-    depth_kernels.distinctness(volume, index, distinct)
+    total = np.empty(reference.shape[1], np.float32)
+    depth_kernels.distinctness(volume, index, total, distinct)
     confident = cv2.blur(distinct, (EVIDENCE_SIZE, EVIDENCE_SIZE)) >= settings.distinctness
     inverse_depth = np.interp(index, np.arange(settings.planes), levels).astype(np.float32)
     smooth = np.asarray(cv2.medianBlur(inverse_depth, MEDIAN_SIZE), dtype=np.float32)
@@ -186,6 +187,8 @@ def _sweep(
     padded = np.pad(reference, RADIUS, mode="edge")
     warped, seen = np.zeros_like(padded), np.empty_like(reference)
     best = np.empty((min(settings.best, len(others)), *reference.shape), np.float32)
+    columns = reference.shape[1]
+    numbers, places = np.empty((2, columns), np.float32), np.empty((2, columns), np.uint32)
     views = []
     for (grey, pinhole), (rays, shift) in zip(others, mappings, strict=True):
         texels = np.empty((grey.shape[0] - 1, grey.shape[1] - 1), np.uint32)
@@ -194,10 +197,12 @@ def _sweep(
     for plane, level in enumerate(levels):
         best[:] = depth_kernels.UNSEEN_COST
         for texels, rays, shift in views:
-            depth_kernels.warp(texels, rays, shift, float(level), warped, seen)
-            depth_kernels.add_view_cost(padded, warped, seen, WINDOW, settings.saturation, best)
-        depth_kernels.write_layer(best, volume[plane])
-    depth_kernels.fill_unseen(volume)
+            depth_kernels.warp(texels, rays, shift, float(level), warped, seen, numbers, places)
+            depth_kernels.add_view_cost(
+                padded, warped, seen, WINDOW, settings.saturation, best, numbers[0]
+            )
+        depth_kernels.write_layer(best, volume[plane], numbers)
+    depth_kernels.fill_unseen(volume, np.empty((2, columns), np.int32))
 
 
 def _aggregate(
@@ -213,6 +218,6 @@ def _aggregate(
             settings.step_penalty,
         ]
     )
-    total = np.empty((*reference.shape, len(volume)), np.float32)
-    depth_kernels.aggregate(volume, reference, penalties, index, total)
+    room = depth_kernels.aggregation_room_for(*volume.shape)
+    depth_kernels.aggregate(volume, reference, penalties, index, room)
     return index

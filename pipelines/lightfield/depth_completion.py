@@ -35,6 +35,7 @@ def complete_depth(depth_map: DepthMap) -> DepthMap:
         ~known,
         depth_completion_kernels.DIRECTIONS,
         carried,
+        np.empty((3, len(depth_completion_kernels.DIRECTIONS))),
     )
     # Single directions leave streaks. A mean would take them away too, and blur the rim.
     smooth = np.asarray(cv2.medianBlur(carried, MEDIAN_SIZE), dtype=np.float32)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray, IntArray
-from pipelines.lightfield.compiled import compiled, compiled_step
+from pipelines.lightfield.compiled import compiled_kernel, compiled_part
 
 # Rows and columns to the eight neighbours of a pixel.
 DIRECTIONS = np.array([(-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)])
@@ -19,7 +19,7 @@ FIT_DAMPING = 50.0
 SMALLEST_CHANGE = 0.5
 
 
-@compiled_step
+@compiled_part
 def _slopes(
     inverse_depth: Float32Array, known: BoolArray, row: int, column: int, slopes: FloatArray
 ) -> None:
@@ -47,13 +47,14 @@ def _slopes(
         slopes[1] = (rr * cq - rc * rq) / determinant
 
 
-@compiled
+@compiled_kernel
 def carry_on(
     inverse_depth: Float32Array,
     known: BoolArray,
     missing: BoolArray,
     directions: IntArray,
     completed: Float32Array,
+    room: FloatArray,
 ) -> None:
     """Gives missing pixels the depth of the surfaces around them.
 
@@ -66,10 +67,10 @@ def carry_on(
         missing: ``(H, W)`` where it is to be replaced.
         directions: ``(8, 2)`` rows and columns.
         completed: ``(H, W)`` result; a pixel from which no known one is found keeps its value.
+        room: ``(3, 8)`` overwritten.
     """
     height, width = inverse_depth.shape
-    values, weights = np.empty(len(directions)), np.empty(len(directions))
-    slopes = np.empty(2)
+    values, weights, slopes = room[0], room[1], room[2]
     for y in range(height):
         for x in range(width):
             completed[y, x] = inverse_depth[y, x]
@@ -95,7 +96,7 @@ def carry_on(
                 completed[y, x] = np.float32(_weighted_median(values[:count], weights[:count]))
 
 
-@compiled_step
+@compiled_part
 def _weighted_median(values: FloatArray, weights: FloatArray) -> float:
     half = 0.0
     for weight in weights:

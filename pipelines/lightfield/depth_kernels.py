@@ -5,11 +5,14 @@ repeated), so that a window never leaves the array. Everything here is a functio
 and releases the interpreter lock.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
-from pipelines.artifacts.array_types import Float32Array, FloatArray, ImageArray
-from pipelines.lightfield.compiled import compiled, compiled_step
+from pipelines.artifacts.array_types import Float32Array, FloatArray, ImageArray, Int32Array
+from pipelines.lightfield.compiled import compiled_kernel, compiled_leaf, compiled_part
+from pipelines.lightfield.record_type import compiled_record
 
 RADIUS = 1
 # Costs run from 0 (alike) to about this where the windows have nothing in common.
@@ -22,7 +25,7 @@ _FAR = np.float32(1e9)
 _NEAR = np.float32(1e-6)
 
 
-@compiled_step
+@compiled_part
 def _repeat_border(padded: Float32Array) -> None:
     """Fills the border of a padded image with its nearest pixels."""
     height, width = padded.shape
@@ -36,7 +39,7 @@ def _repeat_border(padded: Float32Array) -> None:
             padded[height - 1 - y, x] = padded[height - 1 - RADIUS, x]
 
 
-@compiled
+@compiled_kernel
 def pack(image: ImageArray, texels: NDArray[np.uint32]) -> None:
     """Joins each four neighbouring pixels, so that interpolating between them is one read.
 
@@ -53,7 +56,7 @@ def pack(image: ImageArray, texels: NDArray[np.uint32]) -> None:
             texels[y, x] = np.uint32(top | bottom << np.uint32(16))
 
 
-@compiled
+@compiled_kernel
 def warp(
     texels: NDArray[np.uint32],
     rays: FloatArray,
@@ -61,6 +64,8 @@ def warp(
     inverse_depth: float,
     padded: Float32Array,
     seen: Float32Array,
+    fractions: Float32Array,
+    places: NDArray[np.uint32],
 ) -> None:
     """Writes a neighbour's image as the reference view would see it if all were at one depth.
 
@@ -72,14 +77,17 @@ def warp(
         inverse_depth: of the plane.
         padded: ``(H + 2 RADIUS, W + 2 RADIUS)`` result.
         seen: ``(H, W)`` result: 1 where the neighbour sees the point, else 0.
+        fractions: ``(2, W)`` overwritten, and
+        places: ``(2, W)`` likewise.
     """
     height, width = seen.shape
     last_row, last_column = np.int32(texels.shape[0] - 1), np.int32(texels.shape[1] - 1)
     last_u, last_v = np.float32(texels.shape[1]), np.float32(texels.shape[0])
     flat = texels.reshape(-1)
-    matrix = rays.astype(np.float32)
-    across, down = np.empty(width, np.float32), np.empty(width, np.float32)
-    place, four = np.empty(width, np.uint32), np.empty(width, np.uint32)
+    step_u, step_v = np.float32(rays[0, 0]), np.float32(rays[1, 0])
+    step_depth = np.float32(rays[2, 0])
+    across, down = fractions[0], fractions[1]
+    place, four = places[0], places[1]
     for y in range(height):
         start_u = np.float32(rays[0, 1] * y + rays[0, 2] + inverse_depth * shift[0])
         start_v = np.float32(rays[1, 1] * y + rays[1, 2] + inverse_depth * shift[1])
@@ -89,10 +97,10 @@ def warp(
         # done many pixels at a time.
         for x in range(width):
             column = np.float32(np.int32(x))
-            depth = matrix[2, 0] * column + start_depth
+            depth = step_depth * column + start_depth
             scale = _ONE / max(depth, _NEAR)
-            u = (matrix[0, 0] * column + start_u) * scale
-            v = (matrix[1, 0] * column + start_v) * scale
+            u = (step_u * column + start_u) * scale
+            v = (step_v * column + start_v) * scale
             near_u, near_v = min(max(u, _ZERO), last_u), min(max(v, _ZERO), last_v)
             away = max(abs(u - near_u), abs(v - near_v))
             seen_row[x] = _ONE if (away <= _HALF and depth > _NEAR) else _ZERO
@@ -113,7 +121,7 @@ def warp(
     _repeat_border(padded)
 
 
-@compiled
+@compiled_kernel
 def add_view_cost(
     reference: Float32Array,
     warped: Float32Array,
@@ -121,6 +129,7 @@ def add_view_cost(
     offsets: NDArray[np.int64],
     saturation: float,
     best: Float32Array,
+    cost: Float32Array,
 ) -> None:
     """Compares windows, less the grey of their centres, and keeps the costs of the best views.
 
@@ -131,10 +140,10 @@ def add_view_cost(
         offsets: ``(K, 2)`` rows and columns, not negative, of the window's pixels in it.
         saturation: grey levels; larger differences all cost the same.
         best: ``(k, H, W)`` the k smallest costs so far, ascending; updated.
+        cost: ``(W,)`` overwritten.
     """
     height, width = seen.shape
     count = len(offsets)
-    cost = np.empty(width, np.float32)
     limit = np.float32(saturation)
     weight = np.float32(LARGEST_COST / np.float32(count))
     for y in range(height):
@@ -159,11 +168,17 @@ def add_view_cost(
                 cost[x] = larger
 
 
-@compiled
-def write_layer(best: Float32Array, layer: ImageArray) -> None:
-    """Writes the mean of the best views' costs ``(k, H, W)`` as bytes ``(H, W)``."""
+@compiled_kernel
+def write_layer(best: Float32Array, layer: ImageArray, sums: Float32Array) -> None:
+    """Writes the mean of the best views' costs ``(k, H, W)`` as bytes ``(H, W)``.
+
+    Args:
+        best: the costs.
+        layer: receives the result.
+        sums: ``(2, W)`` overwritten.
+    """
     count, height, width = best.shape
-    total, seeing = np.empty(width, np.float32), np.empty(width, np.float32)
+    total, seeing = sums[0], sums[1]
     for y in range(height):
         total[:] = _ZERO
         seeing[:] = _ZERO
@@ -179,11 +194,16 @@ def write_layer(best: Float32Array, layer: ImageArray) -> None:
             row[x] = np.uint8(np.int32(mean if seeing[x] > _ZERO else UNSEEN_COST))
 
 
-@compiled
-def fill_unseen(volume: ImageArray) -> None:
-    """Gives planes on which no view sees a pixel that pixel's mean cost on the others."""
+@compiled_kernel
+def fill_unseen(volume: ImageArray, sums: Int32Array) -> None:
+    """Gives planes on which no view sees a pixel that pixel's mean cost on the others.
+
+    Args:
+        volume: ``(D, H, W)`` costs, changed.
+        sums: ``(2, W)`` overwritten.
+    """
     planes, height, width = volume.shape
-    total, seeing = np.empty(width, np.int32), np.empty(width, np.int32)
+    total, seeing = sums[0], sums[1]
     for y in range(height):
         total[:] = 0
         seeing[:] = 0
@@ -200,17 +220,19 @@ def fill_unseen(volume: ImageArray) -> None:
                     row[x] = np.uint8(total[x] // max(seeing[x], np.int32(1)))
 
 
-@compiled
-def distinctness(volume: ImageArray, index: Float32Array, distinct: Float32Array) -> None:
+@compiled_kernel
+def distinctness(
+    volume: ImageArray, index: Float32Array, total: Float32Array, distinct: Float32Array
+) -> None:
     """How much better than the average plane the chosen one fits: 0 where all planes look alike.
 
     Args:
         volume: ``(D, H, W)`` costs.
         index: ``(H, W)`` number of the chosen plane, with a fraction.
+        total: ``(W,)`` overwritten.
         distinct: ``(H, W)`` result: mean cost less the chosen plane's.
     """
     planes, height, width = volume.shape
-    total = np.empty(width, np.float32)
     share = np.float32(1.0 / planes)
     for y in range(height):
         total[:] = _ZERO
@@ -223,7 +245,7 @@ def distinctness(volume: ImageArray, index: Float32Array, distinct: Float32Array
             distinct[y, x] = total[x] * share - np.float32(volume[plane, y, x])
 
 
-@compiled_step
+@compiled_leaf
 def _step(
     cost: Float32Array,
     before: Float32Array,
@@ -243,7 +265,7 @@ def _step(
     return np.float32(least)
 
 
-@compiled_step
+@compiled_leaf
 def _first_step(cost: Float32Array, after: Float32Array) -> np.float32:
     """The beginning of a path: copies the costs ``(D + 2,)`` and returns the minimum."""
     least = _FAR
@@ -253,7 +275,7 @@ def _first_step(cost: Float32Array, after: Float32Array) -> np.float32:
     return np.float32(least)
 
 
-@compiled_step
+@compiled_part
 def _load_row(volume: ImageArray, y: int, costs: Float32Array) -> None:
     """Row y of the volume ``(D, H, W)`` as ``(W, D + 2)``."""
     for d in range(volume.shape[0]):
@@ -262,7 +284,7 @@ def _load_row(volume: ImageArray, y: int, costs: Float32Array) -> None:
             costs[x, d + 1] = np.float32(layer[x])
 
 
-@compiled_step
+@compiled_part
 def _path_row(
     costs: Float32Array,
     grey: Float32Array,
@@ -299,13 +321,40 @@ def _path_row(
             current_least[path, x] = _step(costs[x], before, least, small, jump, current[path, x])
 
 
-@compiled
+@compiled_record
+class AggregationRoom(NamedTuple):
+    """Memory for ``aggregate``.
+
+    Attributes:
+        total: ``(H, W, D)`` sums over the paths.
+        costs: ``(W, D + 2)`` of a row, with a wall at both ends.
+        rows: ``(2, 4, W, D + 2)`` along four paths, of a row and of the one before.
+        least: ``(2, 4, W)`` their smallest.
+    """
+
+    total: Float32Array
+    costs: Float32Array
+    rows: Float32Array
+    least: Float32Array
+
+
+def aggregation_room_for(planes: int, height: int, width: int) -> AggregationRoom:
+    """Memory for so many planes and images of one size."""
+    return AggregationRoom(
+        np.empty((height, width, planes), np.float32),
+        np.full((width, planes + 2), _FAR, np.float32),
+        np.full((2, 4, width, planes + 2), _FAR, np.float32),
+        np.zeros((2, 4, width), np.float32),
+    )
+
+
+@compiled_kernel
 def aggregate(
     volume: ImageArray,
     grey: Float32Array,
     penalties: FloatArray,
     index: Float32Array,
-    total: Float32Array,
+    room: AggregationRoom,
 ) -> None:
     """Semi-global matching along eight paths, winner takes all, between planes.
 
@@ -315,12 +364,10 @@ def aggregate(
         penalties: ``(4,)``: for a step of one plane; for a jump; grey levels at which a jump costs
             half; by how much a jump costs more than a step at least.
         index: ``(H, W)`` result, the plane's number with its fraction.
-        total: ``(H, W, D)`` working memory.
+        room: for so many planes and images of this size; changed.
     """
     planes, height, width = volume.shape
-    costs = np.full((width, planes + 2), _FAR, np.float32)
-    rows = np.full((2, 4, width, planes + 2), _FAR, np.float32)
-    least = np.zeros((2, 4, width), np.float32)
+    costs, rows, least, total = room.costs, room.rows, room.least, room.total
     for y in range(height):
         _load_row(volume, y, costs)
         above, current = y % 2, 1 - y % 2
@@ -354,7 +401,7 @@ def aggregate(
             index[y, x] = _lowest(sums)
 
 
-@compiled_step
+@compiled_leaf
 def _lowest(values: Float32Array) -> np.float32:
     """Index of the smallest value, with a fraction from its neighbours."""
     best = 0

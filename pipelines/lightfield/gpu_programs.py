@@ -118,7 +118,6 @@ def rule_constants() -> dict[str, Constant]:
         "SMALLEST_RELATIVE_DEPTH": net.SMALLEST_RELATIVE_DEPTH,
         "MOST_RANKED": blending.MOST_RANKED,
         "OUTLOOK_POINTS": blending.OUTLOOK_POINTS,
-        "OUTLOOK_VIEWS": blending.OUTLOOK_VIEWS,
         "RESOLUTION_PENALTY": blending.RESOLUTION_PENALTY,
         "BORDER_SHARE": blending.BORDER_SHARE,
         "BORDER_PENALTY": blending.BORDER_PENALTY,

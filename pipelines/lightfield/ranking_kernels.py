@@ -1,17 +1,15 @@
 """The views that show surface points best, fast: the ranking of ``blending``, compiled.
 
 Sixteen points are looked at together. For each view in turn the penalties at all of them are
-computed, and each point keeps its best few. Whole groups of views (``view_index``) are passed over
-when even the best that they could hold is worse than what every point has: the angle between a ray
-to a point and any ray from inside a sphere differs from that to the sphere's centre by no more than
-the sphere's own angle allows.
+computed, and each point keeps its best few.
 """
 
 import numpy as np
 
-from pipelines.artifacts.array_types import Float32Array, FloatArray, Int32Array, IntArray
+from pipelines.artifacts.array_types import Float32Array, FloatArray, Int32Array
 from pipelines.lightfield.blending import (
     BORDER_PENALTY,
+    OCCLUSION_FACTOR,
     RESOLUTION_PENALTY,
     SMALLEST_MARGIN,
     SMALLEST_PENALTY,
@@ -19,28 +17,34 @@ from pipelines.lightfield.blending import (
 )
 from pipelines.lightfield.compiled import compiled_leaf, compiled_loop
 from pipelines.lightfield.occlusion_kernels import find_hidden
-from pipelines.lightfield.sorting_kernels import sort_indices
-from pipelines.lightfield.texel_intrinsic import LANES
+from pipelines.lightfield.texel_intrinsic import either, lanes_within
+from pipelines.lightfield.view_index import VIEW_NUMBERS, ViewIndex
 from pipelines.lightfield.views import ViewArrays
 
 # Points that are ranked together.
-POINTS = LANES
+POINTS = 16
 # Rows of the scratch: the point, the direction from the virtual centre to it, and one over its
 # distance from there; the smallest penalties so far, the last of which is only to compare with; the
-# penalty of the view at hand; its column and row there, the point's inverse depth in it, and
-# whether it is hidden from it.
+# penalty of the view at hand; the point's column and row in it times its depth, and its depth; and
+# what penalties are compared with.
 PX, PY, PZ, VX, VY, VZ, NEARNESS = range(0, 7 * POINTS, POINTS)
-BEST, OWN, COLUMN, ROW, INVERSE, SEEN = (POINTS * row for row in (7, 11, 12, 13, 14, 15))
+BEST, OWN, COLUMN, ROW, AWAY, LIMIT = (POINTS * row for row in (7, 11, 12, 13, 14, 15))
 RANKING_SCRATCH = 16 * POINTS
+RANKS = VIEWS_PER_CORNER + 1
 # Before anything is ranked, inverse depths stand where penalties will.
 DEPTH = np.uintp(OWN)
-RANKS = VIEWS_PER_CORNER + 1
+# Unsigned, as in ``sampling_kernels``: the rows of the best; and where in a view's numbers those
+# for its columns begin, those for rows, depths, its centre, size and strip.
+LANES = np.uintp(POINTS)
+BEST0, BEST1, BEST2, BEST3 = (np.uintp(BEST + rank * POINTS) for rank in range(RANKS))
+_1, _2, _3, _V, _DEPTH, _CENTRE, _WIDTH, _HEIGHT, _STRIP = (
+    np.uintp(place) for place in (1, 2, 3, 4, 8, 12, 15, 16, 17)
+)
 HALF, ONE, TWO, ZERO = np.float32(0.5), np.float32(1.0), np.float32(2.0), np.float32(0.0)
 NEVER = np.float32(np.inf)
 BORDER, MARGIN = np.float32(BORDER_PENALTY), np.float32(SMALLEST_MARGIN)
 RESOLUTION, SMALLEST = np.float32(RESOLUTION_PENALTY), np.float32(SMALLEST_PENALTY)
-# Bounds in single precision are smaller than they should be by less than this.
-ROUNDING = np.float32(1e-5)
+HIDDEN = np.float32(OCCLUSION_FACTOR)
 # Metres; what lies beyond is taken to be as far away as this. Single precision ends somewhere.
 FARTHEST = 1e7
 
@@ -105,87 +109,208 @@ def set_points(
 
 
 @compiled_loop
-def _start(scratch: Float32Array, best: Int32Array) -> None:
-    """Forgets all views."""
-    for i in range(RANKS * POINTS):
-        scratch[BEST + i] = NEVER
-        best[i] = -1
-
-
-@compiled_loop
-def _deviation(
-    scratch: Float32Array, i: int, x: np.float32, y: np.float32, z: np.float32
+def deviation(
+    px: np.float32,
+    py: np.float32,
+    pz: np.float32,
+    vx: np.float32,
+    vy: np.float32,
+    vz: np.float32,
+    x: np.float32,
+    y: np.float32,
+    z: np.float32,
 ) -> tuple[np.float32, np.float32]:
     """How far a point's ray from a place is from that of the virtual camera, and the distance.
 
-    The former as the square of the chord between unit vectors: no cosine near 1 whose digits would
-    be lost.
+    The former as the chord between unit vectors: no cosine near 1 whose digits would be lost.
+
+    Args:
+        px: of the point, with py, pz.
+        py: see there.
+        pz: see there.
+        vx: of its direction from the virtual camera, with vy, vz.
+        vy: see there.
+        vz: see there.
+        x: of the place, with y, z.
+        y: see there.
+        z: see there.
     """
-    rx, ry, rz = scratch[PX + i] - x, scratch[PY + i] - y, scratch[PZ + i] - z
+    rx, ry, rz = px - x, py - y, pz - z
     distance = np.sqrt(rx * rx + ry * ry + rz * rz)
     shrink = ONE / distance
-    ex = rx * shrink - scratch[VX + i]
-    ey = ry * shrink - scratch[VY + i]
-    ez = rz * shrink - scratch[VZ + i]
-    return ex * ex + ey * ey + ez * ez, distance
+    ex, ey, ez = rx * shrink - vx, ry * shrink - vy, rz * shrink - vz
+    return np.sqrt(ex * ex + ey * ey + ez * ez), distance
 
 
 @compiled_loop
-def _count_open(scratch: Float32Array, spheres: Float32Array, group: int) -> np.float32:
-    """For how many points a group may hold a view that is better than the last of their best.
+def penalty_of(
+    px: np.float32,
+    py: np.float32,
+    pz: np.float32,
+    vx: np.float32,
+    vy: np.float32,
+    vz: np.float32,
+    nearness: np.float32,
+    numbers: Float32Array,
+    first: np.uintp,
+    step: np.uintp,
+) -> tuple[np.float32, np.float32, np.float32, np.float32]:
+    """The penalty of a view at a point; infinite where it does not show the point.
 
-    For vectors p, q: |p/|p| - q/|q|| <= 2 |p - q| / (|p| + |q|) (Dunkl and Williams 1964).
-    """
-    x, y, z, radius = spheres[group, 0], spheres[group, 1], spheres[group, 2], spheres[group, 3]
-    count = ZERO
-    for i in range(POINTS):
-        squared, distance = _deviation(scratch, i, x, y, z)
-        chord = np.sqrt(squared)
-        slack = TWO * radius / max(TWO * distance - radius, ROUNDING * radius)
-        bound = chord - slack - ROUNDING
-        count += ONE if bound < scratch[BEST + (RANKS - 1) * POINTS + i] else ZERO
-    return count
-
-
-@compiled_loop
-def _set_penalties(scratch: Float32Array, numbers: Float32Array, row: int) -> np.float32:
-    """Writes a view's penalty at each point; infinite where it does not show the point.
+    Args:
+        px: of the point, as in the scratch, with py, pz.
+        py: see there.
+        pz: see there.
+        vx: see there, with vy, vz.
+        vy: see there.
+        vz: see there.
+        nearness: see there.
+        numbers: of views, see ``ViewIndex``; those of this one begin at
+        first: and are
+        step: apart.
 
     Returns:
-        At how many points it may be among the best.
+        The penalty; the point's column and row in the view times its depth there; its depth.
     """
-    a0, a1, a2, a3 = numbers[row, 0], numbers[row, 1], numbers[row, 2], numbers[row, 3]
-    b0, b1, b2, b3 = numbers[row, 4], numbers[row, 5], numbers[row, 6], numbers[row, 7]
-    c0, c1, c2, c3 = numbers[row, 8], numbers[row, 9], numbers[row, 10], numbers[row, 11]
-    cx, cy, cz = numbers[row, 12], numbers[row, 13], numbers[row, 14]
-    right, bottom, strip = numbers[row, 15] - HALF, numbers[row, 16] - HALF, numbers[row, 17]
-    count = ZERO
+    u = numbers[first] * px + numbers[first + _1 * step] * py
+    u += numbers[first + _2 * step] * pz + numbers[first + _3 * step]
+    row = first + _V * step
+    v = numbers[row] * px + numbers[row + _1 * step] * py
+    v += numbers[row + _2 * step] * pz + numbers[row + _3 * step]
+    row = first + _DEPTH * step
+    depth = numbers[row] * px + numbers[row + _1 * step] * py
+    depth += numbers[row + _2 * step] * pz + numbers[row + _3 * step]
+    row = first + _CENTRE * step
+    x, y, z = numbers[row], numbers[row + _1 * step], numbers[row + _2 * step]
+    own, recorded = deviation(px, py, pz, vx, vy, vz, x, y, z)
+    own += RESOLUTION * max(recorded * nearness - ONE, ZERO)
+    # All times the depth, which spares a division.
+    half, strip = HALF * depth, numbers[first + _STRIP * step] * depth
+    right = numbers[first + _WIDTH * step] * depth - half - u
+    below = numbers[first + _HEIGHT * step] * depth - half - v
+    margin = min(u + half, right, v + half, below)
+    own += BORDER * max(strip / max(margin, MARGIN * strip) - ONE, ZERO)
+    return (own if (depth > ZERO) & (margin >= ZERO) else NEVER), u, v, depth
+
+
+@compiled_loop
+def _set_penalties(scratch: Float32Array, numbers: Float32Array, first: np.uintp) -> None:
+    """Writes the penalty of a view, whose numbers begin there, at each point."""
     for i in range(POINTS):
-        px, py, pz = scratch[PX + i], scratch[PY + i], scratch[PZ + i]
-        depth = c0 * px + c1 * py + c2 * pz + c3
-        reciprocal = ONE / depth
-        u = (a0 * px + a1 * py + a2 * pz + a3) * reciprocal
-        v = (b0 * px + b1 * py + b2 * pz + b3) * reciprocal
-        squared, recorded = _deviation(scratch, i, cx, cy, cz)
-        own = np.sqrt(squared)
-        own += RESOLUTION * max(recorded * scratch[NEARNESS + i] - ONE, ZERO)
-        margin = min(u + HALF, right - u, v + HALF, bottom - v)
-        own += BORDER * max(strip / max(margin, MARGIN * strip) - ONE, ZERO)
-        is_shown = (depth > ZERO) & (margin >= ZERO)
-        is_better = is_shown & (own <= scratch[BEST + (RANKS - 1) * POINTS + i])
-        count += ONE if is_better else ZERO
-        scratch[OWN + i] = own if is_shown else NEVER
-        # Where it is none of the best, nobody needs to know whether it is hidden.
-        scratch[COLUMN + i] = u if is_better else ZERO
-        scratch[ROW + i] = v if is_better else ZERO
-        scratch[INVERSE + i] = reciprocal if is_better else NEVER
-    return count
+        own, u, v, depth = penalty_of(
+            scratch[PX + i],
+            scratch[PY + i],
+            scratch[PZ + i],
+            scratch[VX + i],
+            scratch[VY + i],
+            scratch[VZ + i],
+            scratch[NEARNESS + i],
+            numbers,
+            first,
+            np.uintp(1),
+        )
+        scratch[OWN + i] = own
+        scratch[COLUMN + i], scratch[ROW + i], scratch[AWAY + i] = u, v, depth
+
+
+@compiled_loop
+def _insert(
+    scratch: Float32Array, best: Int32Array, i: int, own: np.float32, view: np.int32
+) -> None:
+    """Puts the view in its place among the best of a point; of equal ones the first stays."""
+    p0, p1 = scratch[BEST + i], scratch[BEST + POINTS + i]
+    p2, p3 = scratch[BEST + 2 * POINTS + i], scratch[BEST + 3 * POINTS + i]
+    v0, v1, v2, v3 = best[i], best[POINTS + i], best[2 * POINTS + i], best[3 * POINTS + i]
+    scratch[BEST + i] = min(p0, own)
+    scratch[BEST + POINTS + i] = max(p0, min(p1, own))
+    scratch[BEST + 2 * POINTS + i] = max(p1, min(p2, own))
+    scratch[BEST + 3 * POINTS + i] = max(p2, min(p3, own))
+    best[i] = either(own < p0, view, v0)
+    best[POINTS + i] = either(own < p0, v0, either(own < p1, view, v1))
+    best[2 * POINTS + i] = either(own < p1, v1, either(own < p2, view, v2))
+    best[3 * POINTS + i] = either(own < p2, v2, either(own < p3, view, v3))
+
+
+@compiled_loop
+def _insert_all(scratch: Float32Array, best: Int32Array, view: np.int32) -> None:
+    """Puts the view in its place among the best of each point."""
+    for i in range(POINTS):
+        _insert(scratch, best, i, scratch[OWN + i], view)
+
+
+@compiled_loop
+def _rank(
+    scratch: Float32Array,
+    numbers: Float32Array,
+    first: np.uintp,
+    best: Int32Array,
+    view: np.int32,
+) -> None:
+    """Puts a view, whose numbers begin there, in its place among the best of each point."""
+    for i in range(POINTS):
+        own, _, _, _ = penalty_of(
+            scratch[PX + i],
+            scratch[PY + i],
+            scratch[PZ + i],
+            scratch[VX + i],
+            scratch[VY + i],
+            scratch[VZ + i],
+            scratch[NEARNESS + i],
+            numbers,
+            first,
+            np.uintp(1),
+        )
+        _insert(scratch, best, i, own, view)
 
 
 @compiled_leaf
-def _find_hidden(views: ViewArrays, view: int, scratch: Float32Array) -> bool:
-    """Marks points before which the view sees something nearer; returns whether any is."""
-    return find_hidden(
+def is_hidden(scratch: Float32Array, lane: int, views: ViewArrays, view: int) -> bool:
+    """Whether a view sees something nearer than a point, see ``penalty_of``.
+
+    Args:
+        scratch: (RANKING_SCRATCH,) with its column and row times its depth, and its depth,
+        lane: there.
+        views: the light field.
+        view: which.
+    """
+    width, height = views.depth_size[view, 0], views.depth_size[view, 1]
+    if width == 0:
+        return False
+    scale_x = np.float32(width / views.level_size[view, 0, 0])
+    scale_y = np.float32(height / views.level_size[view, 0, 1])
+    own = ONE / scratch[AWAY + lane]
+    column = min(int((scratch[COLUMN + lane] * own + HALF) * scale_x), width - 1)
+    row = min(int((scratch[ROW + lane] * own + HALF) * scale_y), height - 1)
+    seen = views.inverse_depth[views.depth_start[view] + row * width + column]
+    return bool(seen > HIDDEN * own)
+
+
+@compiled_loop
+def _set_sights(scratch: Float32Array) -> None:
+    """Makes places in the view and inverse depths there of what ``penalty_of`` left."""
+    for i in range(np.uintp(POINTS)):
+        # Where it is none of the best, nobody needs to know whether it is hidden.
+        matters = scratch[i + np.uintp(OWN)] < scratch[i + BEST3]
+        own = ONE / scratch[i + np.uintp(AWAY)]
+        u, v = scratch[i + np.uintp(COLUMN)] * own, scratch[i + np.uintp(ROW)] * own
+        scratch[i + np.uintp(COLUMN)] = u if matters else ZERO
+        scratch[i + np.uintp(ROW)] = v if matters else ZERO
+        scratch[i + np.uintp(AWAY)] = own if matters else NEVER
+
+
+@compiled_loop
+def _take_hidden(scratch: Float32Array) -> None:
+    """Makes penalties infinite where the point is marked as hidden."""
+    for i in range(np.uintp(POINTS)):
+        own = scratch[i + np.uintp(OWN)]
+        scratch[i + np.uintp(OWN)] = NEVER if scratch[i + np.uintp(LIMIT)] > ZERO else own
+
+
+@compiled_leaf
+def _leave_out_hidden(scratch: Float32Array, views: ViewArrays, view: int) -> None:
+    """Makes the penalty infinite where the view sees something nearer than the point."""
+    _set_sights(scratch)
+    if find_hidden(
         views.blocks,
         views.block_start[view],
         views.inverse_depth,
@@ -199,51 +324,19 @@ def _find_hidden(views: ViewArrays, view: int, scratch: Float32Array) -> bool:
         scratch,
         np.uintp(COLUMN),
         np.uintp(ROW),
-        np.uintp(INVERSE),
-        np.uintp(SEEN),
+        np.uintp(AWAY),
+        np.uintp(LIMIT),
         POINTS,
-    )
-
-
-@compiled_loop
-def _leave_out_hidden(scratch: Float32Array) -> None:
-    """Makes the penalty infinite where the view sees something nearer than the point."""
-    for i in range(POINTS):
-        own = scratch[OWN + i]
-        scratch[OWN + i] = NEVER if scratch[SEEN + i] > ZERO else own
-
-
-@compiled_loop
-def _insert(scratch: Float32Array, best: Int32Array, view: np.int32) -> None:
-    """Puts the view in its place among the best of each point; of equal ones the first stays."""
-    for i in range(POINTS):
-        own = scratch[OWN + i]
-        p0, p1 = scratch[BEST + i], scratch[BEST + POINTS + i]
-        p2, p3 = scratch[BEST + 2 * POINTS + i], scratch[BEST + 3 * POINTS + i]
-        v0, v1, v2, v3 = best[i], best[POINTS + i], best[2 * POINTS + i], best[3 * POINTS + i]
-        before0 = (own < p0) | ((own == p0) & (view < v0))
-        before1 = (own < p1) | ((own == p1) & (view < v1))
-        before2 = (own < p2) | ((own == p2) & (view < v2))
-        before3 = (own < p3) | ((own == p3) & (view < v3))
-        scratch[BEST + 3 * POINTS + i] = p2 if before2 else (own if before3 else p3)
-        best[3 * POINTS + i] = v2 if before2 else (view if before3 else v3)
-        scratch[BEST + 2 * POINTS + i] = p1 if before1 else (own if before2 else p2)
-        best[2 * POINTS + i] = v1 if before1 else (view if before2 else v2)
-        scratch[BEST + POINTS + i] = p0 if before0 else (own if before1 else p1)
-        best[POINTS + i] = v0 if before0 else (view if before1 else v1)
-        scratch[BEST + i] = own if before0 else p0
-        best[i] = view if before0 else v0
+    ):
+        _take_hidden(scratch)
 
 
 @compiled_leaf
 def rank_views(
     views: ViewArrays,
-    numbers: Float32Array,
-    order: Int32Array,
-    starts: IntArray,
-    spheres: Float32Array,
-    groups: IntArray,
-    group_count: int,
+    index: ViewIndex,
+    rows: Int32Array,
+    count: int,
     has_depth: bool,
     scratch: Float32Array,
     best: Int32Array,
@@ -252,70 +345,54 @@ def rank_views(
 
     Args:
         views: the light field.
-        numbers: (S, VIEW_NUMBERS) of the views that may take part, see ``ViewIndex``, and
-        order: (S,) int32 which these are, and
-        starts: (G + 1,) where groups of them begin, and
-        spheres: (G, 4) around the groups.
-        groups: (G,) in which order groups are looked at; the most promising first spare a look at
-            most others.
-        group_count: their number; where there is one, its sphere does not matter.
+        index: of the views that may take part.
+        rows: (n,) int32 those of the index that are ranked, rising.
+        count: their number.
         has_depth: whether depth maps may hide the points.
         scratch: (RANKING_SCRATCH,) with the points set; from ``BEST`` on it receives the penalties
             of the best, rank by rank; infinite: no view.
         best: (RANKS * POINTS,) int32 receives the views; -1: none.
     """
-    _start(scratch, best)
-    for number in range(group_count):
-        group = groups[number]
-        if group_count > 1 and _count_open(scratch, spheres, group) == ZERO:
-            continue
-        for row in range(starts[group], starts[group + 1]):
-            if _set_penalties(scratch, numbers, row) == ZERO:
+    for i in range(RANKS * POINTS):
+        scratch[BEST + i] = NEVER
+        best[i] = -1
+    # Two loops: what is between ranking and inserting keeps the best from staying in registers.
+    if has_depth:
+        for number in range(count):
+            row = rows[number]
+            view = index.order[row]
+            _set_penalties(scratch, index.numbers, np.uintp(row * VIEW_NUMBERS))
+            if lanes_within(scratch, np.uintp(OWN), scratch, BEST3) == 0:
                 continue
-            view = order[row]
-            if has_depth and _find_hidden(views, view, scratch):
-                _leave_out_hidden(scratch)
-            _insert(scratch, best, view)
-
-
-@compiled_leaf
-def order_groups(
-    spheres: Float32Array, scratch: Float32Array, deviations: FloatArray, order: IntArray
-) -> None:
-    """Sorts groups by how far their centres deviate from the ray to the first point.
-
-    Args:
-        spheres: (G, 4) see ``ViewIndex``.
-        scratch: (RANKING_SCRATCH,) with the points set.
-        deviations: (G,) overwritten.
-        order: (G,) receives the groups.
-    """
-    for group in range(len(spheres)):
-        rx = scratch[PX] - spheres[group, 0]
-        ry = scratch[PY] - spheres[group, 1]
-        rz = scratch[PZ] - spheres[group, 2]
-        along = rx * scratch[VX] + ry * scratch[VY] + rz * scratch[VZ]
-        # Minus the cosine.
-        deviations[group] = -along / np.sqrt(rx * rx + ry * ry + rz * rz)
-    sort_indices(deviations, len(spheres), order)
+            _leave_out_hidden(scratch, views, view)
+            _insert_all(scratch, best, view)
+        return
+    for number in range(count):
+        row = rows[number]
+        _rank(scratch, index.numbers, np.uintp(row * VIEW_NUMBERS), best, index.order[row])
 
 
 @compiled_loop
 def set_shares(
-    scratch: Float32Array, best: Int32Array, first: int, views: Int32Array, weights: Float32Array
+    scratch: Float32Array,
+    best: Int32Array,
+    first: np.uintp,
+    views: Int32Array,
+    weights: Float32Array,
 ) -> None:
     """Writes weights with sum 1 that fall to zero where the next view takes over.
 
     Args:
         scratch: as ``rank_views`` left it.
         best: likewise.
-        first: where in the results the points' begin.
-        views: (VIEWS_PER_CORNER, C) int32 receives the views; -1: none.
-        weights: (VIEWS_PER_CORNER, C) receives their weights.
+        first: where in the results the points' begin, rank by rank.
+        views: (VIEWS_PER_CORNER * C,) int32 receives the views; -1: none.
+        weights: (VIEWS_PER_CORNER * C,) receives their weights.
     """
-    for i in range(POINTS):
-        p0, p1 = scratch[BEST + i], scratch[BEST + POINTS + i]
-        p2, p3 = scratch[BEST + 2 * POINTS + i], scratch[BEST + 3 * POINTS + i]
+    second, third = first + LANES, first + LANES + LANES
+    for i in range(np.uintp(POINTS)):
+        p0, p1 = scratch[i + BEST0], scratch[i + BEST1]
+        p2, p3 = scratch[i + BEST2], scratch[i + BEST3]
         scale = ONE / max(p3, TWO * SMALLEST)
         w0 = max(ONE - p0 * scale, ZERO) / max(p0, SMALLEST) if p0 < NEVER else ZERO
         w1 = max(ONE - p1 * scale, ZERO) / max(p1, SMALLEST) if p1 < NEVER else ZERO
@@ -325,7 +402,7 @@ def set_shares(
         factor = ONE / total if total > ZERO else ONE / found
         # Where all are as good as the next one, they share alike.
         w0, w1, w2 = (w0, w1, w2) if total > ZERO else (ONE, ONE, ONE)
-        weights[0, first + i], weights[1, first + i] = w0 * factor, w1 * factor
-        weights[2, first + i] = w2 * factor
-        views[0, first + i], views[1, first + i] = best[i], best[POINTS + i]
-        views[2, first + i] = best[2 * POINTS + i]
+        weights[first + i], weights[second + i] = w0 * factor, w1 * factor
+        weights[third + i] = w2 * factor
+        views[first + i], views[second + i] = best[i], best[i + LANES]
+        views[third + i] = best[i + LANES + LANES]

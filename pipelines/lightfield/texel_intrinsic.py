@@ -1,10 +1,11 @@
-"""What compiled code needs in a handful of instructions: a bilinear sample, a few pixels' places.
+"""What compiled code needs in a handful of instructions: bilinear samples, comparisons of numbers.
 
 Numba turns a loop over the four channels of a texel into four scalar loops. What a processor can
 do is read two neighbouring texels at once and work on their eight channels together. And before a
 short loop over several arrays the compiler puts a check whether any two of them overlap, which
-takes longer than the loop. Both are written here in LLVM's vector types, which every processor that
-numba knows gets translated to its own (AVX, SSE, NEON).
+takes longer than the loop. And where it makes a branch of a choice that nobody can foresee, the
+processor guesses wrong and starts again. All this is written here in LLVM's vector types and
+choices, which are translated to what each processor has (AVX, SSE, NEON).
 """
 
 from collections.abc import Callable
@@ -246,6 +247,64 @@ def _constant(value: Any) -> Any:
     """A vector of ``LANES`` times the same number."""
     kind = _vector(LANES)
     return ir.Constant(kind, value if value is ir.Undefined else [value] * LANES)
+
+
+@intrinsic
+def _either(_typing_context: Any, condition: Any, first: Any, second: Any) -> Any:
+    """The first of two numbers of one type if the condition holds, else the second."""
+
+    def generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        return builder.select(*arguments)
+
+    return first(condition, first, second), generate
+
+
+either = cast("Callable[..., Any]", _either)
+
+
+@intrinsic
+def _lanes_within(
+    _typing_context: Any, values: Any, first: Any, limits: Any, first_limit: Any
+) -> Any:
+    """Which of ``LANES`` numbers are at most as large as their limits: a bit for each.
+
+    Args:
+        _typing_context: numba's.
+        values: (n,) float32; those that are compared begin at
+        first: index, unsigned.
+        limits: (m,) float32, theirs begin at
+        first_limit: index, unsigned.
+    """
+    signature = types.int64(values, first, limits, first_limit)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        lanes = []
+        for number in (0, 2):
+            kind = signature.args[number]
+            data = context.make_array(kind)(context, builder, arguments[number]).data
+            place = builder.gep(data, [arguments[number + 1]])
+            pointer = builder.bitcast(place, _vector(LANES).as_pointer())
+            lanes.append(builder.load(pointer, align=4))
+        found = builder.fcmp_ordered("<=", *lanes)
+        return builder.zext(builder.bitcast(found, ir.IntType(LANES)), _INDEX)
+
+    return signature, generate
+
+
+lanes_within = cast("Callable[..., int]", _lanes_within)
+
+
+@intrinsic
+def _first_lane(_typing_context: Any, lanes: Any) -> Any:
+    """The first of some lanes, given as ``lanes_within`` does; there is at least one."""
+
+    def generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        return builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))
+
+    return lanes(lanes), generate
+
+
+first_lane = cast("Callable[[int], int]", _first_lane)
 
 
 def _vector(lanes: int) -> ir.VectorType:

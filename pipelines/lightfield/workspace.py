@@ -20,7 +20,7 @@ from pipelines.lightfield.pixel_order_kernels import PixelOrder, pixel_order_for
 from pipelines.lightfield.record_type import compiled_record
 from pipelines.lightfield.sampling_kernels import COEFFICIENTS, ROW_LENGTH, SCRATCH_SIZE
 from pipelines.lightfield.texel_intrinsic import LANES
-from pipelines.lightfield.view_index import ViewIndex
+from pipelines.lightfield.view_index import GROUP_VIEWS, ViewIndex
 from pipelines.lightfield.views import ViewArrays
 
 # A cell has fewer views than this.
@@ -202,7 +202,8 @@ def workspace_for(field: LightField, width: int, height: int, chosen: Int32Array
     """
     count = len(field.views.centres)
     size = (1, 1) if field.is_net else (width, height)
-    tiling = tiling_for(*size, count, len(field.view_index.spheres))
+    groups = len(field.view_index.members) // GROUP_VIEWS
+    tiling = tiling_for(*size, count, groups)
     tiles = (len(tiling.down) - 1, len(tiling.across) - 1)
     cells = 4 * count + 8 if field.is_net else tiles[0] * tiles[1]
     origins = np.zeros((cells, 2))

@@ -132,7 +132,7 @@ fn is_narrowed() -> bool {
   return settings.view_count > MOST_RANKED;
 }
 
-// Of all views, or of those that are the best at the outlook's points.
+// Of all views, or of those that are the best at any of the outlook's points.
 fn best_views(slot: u32, pose: Pose, ray: vec3<f32>, d: f32, of_all: bool) -> Best {
   var best = Best(vec4(NO_VIEW), vec4(LARGEST));
   if (of_all) {
@@ -142,14 +142,10 @@ fn best_views(slot: u32, pose: Pose, ray: vec3<f32>, d: f32, of_all: bool) -> Be
     return best;
   }
   for (var point = 0u; point < OUTLOOK; point++) {
-    let at = workspace_of(slot) + 2u * point;
-    let found = workspace[at];
-    let share = bitcast<vec4<f32>>(workspace[at + 1u]);
-    for (var rank = 0u; rank < min(found.w, OUTLOOK_VIEWS); rank++) {
-      // The same view may be found at many points.
-      if (share[rank] > 0.0 && all(best.views != vec4(found[rank]))) {
-        best = ranked(best, found[rank], pose, ray, d);
-      }
+    // The same view may be found at many points.
+    let found = workspace[workspace_of(slot) + 2u * point];
+    if (found.w > 0u && all(best.views != vec4(found.x))) {
+      best = ranked(best, found.x, pose, ray, d);
     }
   }
   return best;
