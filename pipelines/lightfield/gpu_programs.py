@@ -125,6 +125,7 @@ def rule_constants() -> dict[str, Constant]:
         "SMALLEST_PENALTY": blending.SMALLEST_PENALTY,
         "OCCLUSION_FACTOR": blending.OCCLUSION_FACTOR,
         "SOURCE_VIEWS": proxy.SOURCE_VIEWS,
+        "PIXEL_PARTS": proxy.PIXEL_PARTS,
         "TURN_COST": proxy.TURN_COST,
         "PINHOLE_FACTOR": proxy.PINHOLE_FACTOR,
         "PINHOLE_NEIGHBOURS": proxy.PINHOLE_NEIGHBOURS,

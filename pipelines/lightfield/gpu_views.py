@@ -16,7 +16,7 @@ from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray,
 from pipelines.artifacts.errors import StageError
 from pipelines.geometry.camera import Intrinsics
 from pipelines.lightfield.gpu_device import Gpu, fill_layer, layers_of, texture_array, upload
-from pipelines.lightfield.proxy import sample_stride
+from pipelines.lightfield.proxy import sample_step
 from pipelines.lightfield.views import Views
 
 WordArray = NDArray[np.uint32]
@@ -177,7 +177,7 @@ def source_table(card: GpuViews, intrinsics: Intrinsics, spacing: float) -> Word
     table[:, :12] = rows.reshape(-1, 12).view(np.uint32)
     for number, view in enumerate(card.chosen):
         if arrays.depth_size[view, 0] > 0:
-            table[number, 12] = sample_stride(card.views, int(view), intrinsics, spacing)
+            table[number, 12] = sample_step(card.views, int(view), intrinsics, spacing)
     return table
 
 

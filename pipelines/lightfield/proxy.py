@@ -48,6 +48,9 @@ SOURCE_VIEWS = 8
 TURN_COST = 1.5
 # Depth samples a cell, along one side: more than one, so that no cell stays empty by rounding.
 SAMPLES_PER_CELL = 1.4
+# Steps from sample to sample are counted in such parts of a depth pixel: whole numbers, so that all
+# that render take the same pixels.
+PIXEL_PARTS = 256
 # A corner is a far point seen through a gap in a near surface when so many of its eight neighbours
 # are nearer by more than this factor.
 PINHOLE_FACTOR, PINHOLE_NEIGHBOURS = 1.25, 5
@@ -131,10 +134,13 @@ def _splat(
     """Projects one depth map into the virtual image; of points in one cell the nearest stays."""
     arrays = views.arrays
     depth = views.depth_map(view).astype(np.float64)
-    stride = sample_stride(views, view, intrinsics, spacing)
+    step = sample_step(views, view, intrinsics, spacing)
     scale_x = arrays.level_size[view, 0, 0] / arrays.depth_size[view, 0]
     scale_y = arrays.level_size[view, 0, 1] / arrays.depth_size[view, 1]
-    rows, columns = np.mgrid[0 : depth.shape[0] : stride, 0 : depth.shape[1] : stride]
+    rows, columns = np.meshgrid(
+        *(np.arange(0, PIXEL_PARTS * size, step) // PIXEL_PARTS for size in depth.shape),
+        indexing="ij",
+    )
     values = depth[rows, columns]
     known = values > 0.0
     x = (columns[known] + 0.5) * scale_x - 0.5
@@ -152,12 +158,17 @@ def _splat(
     np.maximum.at(mesh, (row[inside], column[inside]), nearness)
 
 
-def sample_stride(views: Views, view: int, intrinsics: Intrinsics, spacing: float) -> int:
-    """Every how many depth pixels are projected, so that each cell gets a sample or two."""
+def sample_step(views: Views, view: int, intrinsics: Intrinsics, spacing: float) -> int:
+    """From one projected depth pixel to the next, so that each cell gets a sample or two.
+
+    Returns:
+        The step in parts of a pixel, of which ``PIXEL_PARTS`` are one.
+    """
     arrays = views.arrays
     scale = arrays.depth_size[view, 0] / arrays.level_size[view, 0, 0]
     focal = 0.5 * (intrinsics.fx + intrinsics.fy)
-    return max(1, int(spacing * arrays.focal[view] * scale / focal / SAMPLES_PER_CELL))
+    pixels = spacing * arrays.focal[view] * scale / focal / SAMPLES_PER_CELL
+    return int(PIXEL_PARTS * max(1.0, pixels))
 
 
 def _neighbours(mesh: FloatArray) -> FloatArray:

@@ -13,7 +13,7 @@ from pipelines.artifacts.array_types import (
 )
 from pipelines.lightfield.aligned_memory import aligned
 from pipelines.lightfield.compiled import compiled_leaf, compiled_loop
-from pipelines.lightfield.proxy import SAMPLES_PER_CELL
+from pipelines.lightfield.proxy import PIXEL_PARTS, SAMPLES_PER_CELL
 from pipelines.lightfield.record_type import compiled_record
 from pipelines.lightfield.views import ViewArrays
 
@@ -40,7 +40,7 @@ class DepthSamples(NamedTuple):
 
     Attributes:
         is_source: ``(N,)`` which views' depth maps are sampled.
-        strides: ``(N,)`` every how many of their pixels.
+        steps: ``(N,)`` from one of their pixels to the next, ``PIXEL_PARTS`` of which are one.
         starts: ``(N,)`` where each view's samples begin, at the beginning of a batch, and
         ends: ``(N,)`` where they end.
         columns: ``(S,)`` in the depth map, from its middle, and
@@ -51,7 +51,7 @@ class DepthSamples(NamedTuple):
     """
 
     is_source: BoolArray
-    strides: IntArray
+    steps: IntArray
     starts: IntArray
     ends: IntArray
     columns: Float32Array
@@ -70,14 +70,15 @@ def samples_for(views: ViewArrays, focal: float, spacing: float) -> DepthSamples
     """
     width, height = views.depth_size[:, 0], views.depth_size[:, 1]
     scale = width / views.level_size[:, 0, 0]
-    wanted = (spacing * views.focal * scale / focal / SAMPLES_PER_CELL).astype(np.int64)
-    strides = np.maximum(wanted, 1)
-    batches = -(-(-(-width // strides) * -(-height // strides)) // TOGETHER)
+    pixels = spacing * views.focal * scale / focal / SAMPLES_PER_CELL
+    steps = (PIXEL_PARTS * np.maximum(1.0, pixels)).astype(np.int64)
+    columns, rows = (-(-PIXEL_PARTS * size // steps) for size in (width, height))
+    batches = -(-columns * rows // TOGETHER)
     # Only what is written to takes memory.
     most, count = int(batches.sum()) * TOGETHER, len(width)
     return DepthSamples(
         np.empty(count, np.bool_),
-        strides,
+        steps,
         np.empty(count, np.int64),
         np.empty(count, np.int64),
         aligned(most, np.float32),
@@ -96,11 +97,13 @@ def fill_samples(views: ViewArrays, samples: DepthSamples) -> None:
         samples.starts[view] = found
         if samples.is_source[view]:
             width, height = views.depth_size[view, 0], views.depth_size[view, 1]
-            start, stride = views.depth_start[view], samples.strides[view]
+            start, step = views.depth_start[view], samples.steps[view]
+            below, right = PIXEL_PARTS * height, PIXEL_PARTS * width
             # Column by column of a strip, so that batches are about as wide as high.
-            for top in range(0, height, STRIP * stride):
-                for column in range(0, width, stride):
-                    for row in range(top, min(top + STRIP * stride, height), stride):
+            for top in range(0, below, STRIP * step):
+                for x in range(0, right, step):
+                    for y in range(top, min(top + STRIP * step, below), step):
+                        column, row = x // PIXEL_PARTS, y // PIXEL_PARTS
                         value = views.inverse_depth[start + row * width + column]
                         if value > ZERO:
                             columns[found] = column + 0.5 - 0.5 * width

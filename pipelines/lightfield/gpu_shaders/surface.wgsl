@@ -5,7 +5,7 @@ struct Source {
   x: vec4<f32>,  // rows of the matrix from pixels to world directions, the axis in the last column
   y: vec4<f32>,
   z: vec4<f32>,
-  stride: vec4<u32>,  // every how many depth pixels are projected
+  step: vec4<u32>,  // from one projected depth pixel to the next, in parts of one
 }
 
 @group(0) @binding(4) var<storage, read> sources: array<Source>;
@@ -75,17 +75,17 @@ fn project(pose: Pose, direction: vec3<f32>) -> vec3<f32> {
 fn splat(lane: u32, first: u32, pose: Pose, index: u32) {
   let view = views[index];
   let source = sources[index];
-  let stride = source.stride.x;
+  let spacing = source.step.x;
   let size = depth_map_size(view);
   let scale = view.photo.xy / vec2<f32>(size);
-  let count = (size + stride - 1u) / stride;
+  let count = (size * PIXEL_PARTS + spacing - 1u) / spacing;
   let shift = project(pose, centre_of_view(view) - centre_of_pose(pose));
   // The columns of the matrix from the view's pixels to virtual ones.
   let x = project(pose, vec3(source.x.x, source.y.x, source.z.x));
   let y = project(pose, vec3(source.x.y, source.y.y, source.z.y));
   let one = project(pose, vec3(source.x.z, source.y.z, source.z.z));
   for (var sample = lane; sample < count.x * count.y; sample += LANES) {
-    let cell = stride * vec2(sample % count.x, sample / count.x);
+    let cell = spacing * vec2(sample % count.x, sample / count.x) / PIXEL_PARTS;
     let value = depth_at(view, cell);
     if (value <= 0.0) {
       continue;
