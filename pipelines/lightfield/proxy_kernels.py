@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pipelines.artifacts.array_types import Float32Array, FloatArray, IntArray
+from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray, IntArray
 from pipelines.lightfield.compiled import (
     compiled,
     compiled_kernel,
@@ -24,7 +24,6 @@ from pipelines.lightfield.splat_kernels import (
     ONE,
     ZERO,
     DepthSamples,
-    fill_samples,
     splat,
 )
 from pipelines.lightfield.surface_room import SurfaceRoom
@@ -290,15 +289,15 @@ def plane_surfaces(
 
 
 @compiled_kernel
-def sample_depths(
+def choose_sources(
     views: ViewArrays,
     usual_inverse_depth: float,
     poses: FloatArray,
     costs: FloatArray,
     sources: IntArray,
-    samples: DepthSamples,
+    is_source: BoolArray,
 ) -> None:
-    """Chooses what is projected of the depth maps into B virtual images.
+    """Chooses the views whose depth maps are projected into B virtual images.
 
     Args:
         views: the light field.
@@ -307,18 +306,17 @@ def sample_depths(
         costs: (SOURCE_VIEWS,) overwritten.
         sources: (B, SOURCE_VIEWS) receives the views whose depth maps make each image's surface,
             -1 behind the last.
-        samples: receives samples of them all.
+        is_source: (N,) receives which views any image's surface is made of.
     """
-    for view in range(len(samples.is_source)):
-        samples.is_source[view] = False
+    for view in range(len(is_source)):
+        is_source[view] = False
     for index in range(len(poses)):
         own = sources[index]
         count = _choose_sources(views, usual_inverse_depth, poses[index], costs, own)
         for number in range(count):
-            samples.is_source[own[number]] = True
+            is_source[own[number]] = True
         for number in range(count, SOURCE_VIEWS):
             own[number] = -1
-    fill_samples(views, samples)
 
 
 @compiled_kernel
@@ -337,7 +335,7 @@ def depth_surfaces(
     Args:
         views: the light field.
         samples: of its depth maps, and
-        sources: (B, SOURCE_VIEWS); see ``sample_depths``.
+        sources: (B, SOURCE_VIEWS); see ``choose_sources``.
         poses: (B, 4, 4) world_from_camera.
         intrinsics: (4,) fx, fy, cx, cy.
         spacing: of the mesh's corners, virtual pixels.

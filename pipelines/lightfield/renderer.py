@@ -23,10 +23,10 @@ from pipelines.lightfield.comparison import Cost, prepared
 from pipelines.lightfield.devices import Device, chosen_gpu
 from pipelines.lightfield.kernels import NO_COMPARISON, render_nets, render_tiles
 from pipelines.lightfield.proxy import SOURCE_VIEWS, Quality, cell_size, usual_inverse_depth
-from pipelines.lightfield.proxy_kernels import depth_surfaces, plane_surfaces, sample_depths
+from pipelines.lightfield.proxy_kernels import choose_sources, depth_surfaces, plane_surfaces
 from pipelines.lightfield.reference import frustum_positions
+from pipelines.lightfield.sample_store import SampleStore
 from pipelines.lightfield.scene import Scene
-from pipelines.lightfield.splat_kernels import samples_for
 from pipelines.lightfield.surface_room import surface_room_for
 from pipelines.lightfield.view_index import build_index
 from pipelines.lightfield.views import Views, views_of_scene, without_depth
@@ -126,6 +126,7 @@ class Renderer:
         usable = np.ones(len(views), dtype=np.bool_)
         if quality is Quality.PLANE:
             usable = plane.signed_distance(views.centres) > 0.0
+        self._samples = SampleStore(self.views.arrays)
         self._usual_inverse_depth = float(usual_inverse_depth(self.views))
         self._field = LightField(
             views=self.views.arrays,
@@ -293,9 +294,10 @@ class Renderer:
             return of_plane
         arrays, usual = self.views.arrays, self._usual_inverse_depth
         spacing = float(cell_size(self.views, intrinsics, self.quality))
-        samples = samples_for(arrays, 0.5 * (intrinsics.fx + intrinsics.fy), spacing)
         sources = np.empty((len(poses), SOURCE_VIEWS), dtype=np.int64)
-        sample_depths(arrays, usual, poses, np.empty(SOURCE_VIEWS), sources, samples)
+        is_source = np.empty(len(self.views), dtype=np.bool_)
+        choose_sources(arrays, usual, poses, np.empty(SOURCE_VIEWS), sources, is_source)
+        samples = self._samples(is_source, 0.5 * (intrinsics.fx + intrinsics.fy), spacing)
         wanted = _surface_pixels(intrinsics, chosen)
 
         def of_depths(part: slice) -> Float32Array:

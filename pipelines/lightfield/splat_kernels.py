@@ -12,7 +12,7 @@ from pipelines.artifacts.array_types import (
     IntArray,
 )
 from pipelines.lightfield.aligned_memory import aligned
-from pipelines.lightfield.compiled import compiled_leaf, compiled_loop
+from pipelines.lightfield.compiled import compiled_kernel, compiled_leaf, compiled_loop
 from pipelines.lightfield.proxy import PIXEL_PARTS, SAMPLES_PER_CELL
 from pipelines.lightfield.record_type import compiled_record
 from pipelines.lightfield.views import ViewArrays
@@ -20,6 +20,8 @@ from pipelines.lightfield.views import ViewArrays
 # Samples that are worked on together; always so many, so that none are left over. They are taken
 # from strips of so many rows.
 TOGETHER, STRIP = 128, 12
+# Neighbours stand so far apart in a batch, an odd number, so that all places are taken.
+APART = 29
 # Behind the mesh, what lies outside goes to so many places by turns: numbers that are written to
 # one place, one after the other, wait for each other.
 ELSEWHERE = 16
@@ -36,7 +38,9 @@ HALF, ONE, ZERO = np.float32(0.5), np.float32(1.0), np.float32(0.0)
 class DepthSamples(NamedTuple):
     """What is projected of the depth maps, for one size of the mesh's cells: up to S samples.
 
-    They stand in batches of ``TOGETHER`` that lie near each other; a view's last batch is not full.
+    They stand in batches of ``TOGETHER`` that lie near each other; neighbours do not follow each
+    other, since what is written to one place, one after the other, waits. A view's last sample
+    fills up its last batch.
 
     Attributes:
         is_source: ``(N,)`` which views' depth maps are sampled.
@@ -60,11 +64,14 @@ class DepthSamples(NamedTuple):
     boxes: Float32Array
 
 
-def samples_for(views: ViewArrays, focal: float, spacing: float) -> DepthSamples:
-    """Memory for samples of depth maps that are somewhat denser than a mesh's corners will be.
+def depth_samples(
+    views: ViewArrays, is_source: BoolArray, focal: float, spacing: float
+) -> DepthSamples:
+    """Samples of depth maps, somewhat denser than a mesh's corners will be.
 
     Args:
         views: the light field.
+        is_source: (N,) whose depth maps are sampled.
         focal: of the virtual camera, pixels.
         spacing: of the mesh's corners, virtual pixels.
     """
@@ -74,10 +81,9 @@ def samples_for(views: ViewArrays, focal: float, spacing: float) -> DepthSamples
     steps = (PIXEL_PARTS * np.maximum(1.0, pixels)).astype(np.int64)
     columns, rows = (-(-PIXEL_PARTS * size // steps) for size in (width, height))
     batches = -(-columns * rows // TOGETHER)
-    # Only what is written to takes memory.
-    most, count = int(batches.sum()) * TOGETHER, len(width)
-    return DepthSamples(
-        np.empty(count, np.bool_),
+    most, count = int(batches[is_source].sum()) * TOGETHER, len(width)
+    samples = DepthSamples(
+        is_source,
         steps,
         np.empty(count, np.int64),
         np.empty(count, np.int64),
@@ -86,11 +92,13 @@ def samples_for(views: ViewArrays, focal: float, spacing: float) -> DepthSamples
         aligned(most, np.float32),
         np.empty((most // TOGETHER, 6), np.float32),
     )
+    _fill(views, samples)
+    return samples
 
 
-@compiled_leaf
-def fill_samples(views: ViewArrays, samples: DepthSamples) -> None:
-    """Takes the samples of the views that are marked as sources."""
+@compiled_kernel
+def _fill(views: ViewArrays, samples: DepthSamples) -> None:
+    """Takes the samples of the views that are sources."""
     columns, rows, inverse_depth = samples.columns, samples.rows, samples.inverse_depth
     found = 0
     for view in range(len(samples.is_source)):
@@ -106,26 +114,34 @@ def fill_samples(views: ViewArrays, samples: DepthSamples) -> None:
                         column, row = x // PIXEL_PARTS, y // PIXEL_PARTS
                         value = views.inverse_depth[start + row * width + column]
                         if value > ZERO:
-                            columns[found] = column + 0.5 - 0.5 * width
-                            rows[found] = row + 0.5 - 0.5 * height
-                            inverse_depth[found] = value
+                            place = _place_in_batch(found)
+                            columns[place] = column + 0.5 - 0.5 * width
+                            rows[place] = row + 0.5 - 0.5 * height
+                            inverse_depth[place] = value
                             found += 1
+        while found % TOGETHER > 0:
+            place, last = _place_in_batch(found), _place_in_batch(found - 1)
+            columns[place], rows[place] = columns[last], rows[last]
+            inverse_depth[place] = inverse_depth[last]
+            found += 1
         samples.ends[view] = found
         for first in range(samples.starts[view], found, TOGETHER):
-            last, batch = min(first + TOGETHER, found), first // TOGETHER
-            _set_box(columns, first, last, samples.boxes, batch, 0)
-            _set_box(rows, first, last, samples.boxes, batch, 1)
-            _set_box(inverse_depth, first, last, samples.boxes, batch, 2)
-        found = (found + TOGETHER - 1) // TOGETHER * TOGETHER
+            batch = first // TOGETHER
+            _set_box(columns, first, samples.boxes, batch, 0)
+            _set_box(rows, first, samples.boxes, batch, 1)
+            _set_box(inverse_depth, first, samples.boxes, batch, 2)
 
 
 @compiled_leaf
-def _set_box(
-    values: Float32Array, first: int, last: int, boxes: Float32Array, batch: int, axis: int
-) -> None:
-    """Writes the middle of some values and how far they go from there."""
+def _place_in_batch(number: int) -> int:
+    return number // TOGETHER * TOGETHER + number * APART % TOGETHER
+
+
+@compiled_leaf
+def _set_box(values: Float32Array, first: int, boxes: Float32Array, batch: int, axis: int) -> None:
+    """Writes the middle of a batch's values and how far they go from there."""
     low, high = values[first], values[first]
-    for i in range(first + 1, last):
+    for i in range(first + 1, first + TOGETHER):
         low, high = min(low, values[i]), max(high, values[i])
     boxes[batch, axis] = HALF * (low + high)
     boxes[batch, 3 + axis] = HALF * (high - low)
@@ -228,7 +244,7 @@ def splat(
             scratch,
             cells,
         )
-        for i in range(np.uintp(min(TOGETHER, samples.ends[view] - first))):
+        for i in range(np.uintp(TOGETHER)):
             cell = np.uintp(cells[i])
             corners[cell] = max(corners[cell], scratch[i])
 

@@ -1,0 +1,104 @@
+"""Samples of depth maps that are kept: the same as fresh ones, and not too many."""
+
+import numpy as np
+import pytest
+
+from pipelines.artifacts.array_types import BoolArray, FloatArray
+from pipelines.lightfield import sample_store
+from pipelines.lightfield.proxy import Quality, sample_step
+from pipelines.lightfield.renderer import Renderer
+from pipelines.lightfield.sample_store import SampleStore
+from pipelines.lightfield.splat_kernels import DepthSamples, depth_samples
+from pipelines.lightfield.views import Views, build_views
+from tests.lightfield_samples import WALL, looking, noise_views, pinhole
+
+CAMERA = pinhole(24, 18, 20.0)
+FOCAL, SPACING = 20.0, 3.0
+
+
+def views_with_depth() -> Views:
+    """Six photos with depth maps of different sizes, gaps in them."""
+    generator = np.random.default_rng(0)
+    poses = [looking([x, -3.0, 1.0], [x, 0.0, 1.0]) for x in np.linspace(-2.0, 2.0, 6)]
+    plain = noise_views(poses, generator)
+    depths = []
+    for number in range(len(plain)):
+        shape = (20 + 7 * number, 30 + 5 * number)
+        known = generator.uniform(size=shape) > 0.2
+        depths.append((known / generator.uniform(2.8, 3.2, shape)).astype(np.float32))
+    images = [plain.level(number, 0) for number in range(len(plain))]
+    return build_views(images, plain.intrinsics, np.stack(poses), depths)
+
+
+VIEWS = views_with_depth()
+
+
+def marked(*views: int) -> BoolArray:
+    """Which of the six views."""
+    result = np.zeros(len(VIEWS), np.bool_)
+    result[list(views)] = True
+    return result
+
+
+def of_view(samples: DepthSamples, view: int) -> FloatArray:
+    """``(n, 3)`` columns and rows from the middle, inverse depths; in one order, each once."""
+    part = slice(samples.starts[view], samples.ends[view])
+    rows = [own[part] for own in (samples.columns, samples.rows, samples.inverse_depth)]
+    return np.unique(np.stack(rows, axis=-1), axis=0)
+
+
+@pytest.mark.parametrize("view", range(6))
+@pytest.mark.parametrize("spacing", [1.0, 2.3, 3.0])
+def test_samples_are_every_so_many_pixels_of_the_depth_map(view: int, spacing: float) -> None:
+    samples = depth_samples(VIEWS.arrays, marked(view, 0), FOCAL, spacing)
+    depth = VIEWS.depth_map(view)
+    step = sample_step(VIEWS, view, CAMERA, spacing) / 256.0
+    rows, columns = (np.floor(np.arange(0.0, size, step)) for size in depth.shape)
+    expected = [
+        (column + 0.5 - 0.5 * depth.shape[1], row + 0.5 - 0.5 * depth.shape[0], value)
+        for row in rows
+        for column in columns
+        if (value := depth[int(row), int(column)]) > 0.0
+    ]
+    assert step > 1.0 or spacing == 1.0
+    found = of_view(samples, view)
+    wanted = np.array(expected, dtype=np.float32)
+    np.testing.assert_array_equal(found, np.unique(wanted, axis=0))
+
+
+def test_views_are_added_to_what_is_kept() -> None:
+    store = SampleStore(VIEWS.arrays)
+    first = store(marked(1, 4), FOCAL, SPACING)
+    assert store(marked(4), FOCAL, SPACING) is first
+    more = store(marked(2), FOCAL, SPACING)
+    assert more is not first
+    assert store(marked(1, 2, 4), FOCAL, SPACING) is more
+    for view in (1, 2, 4):
+        fresh = depth_samples(VIEWS.arrays, marked(view), FOCAL, SPACING)
+        np.testing.assert_array_equal(of_view(more, view), of_view(fresh, view))
+    # Other cells, other samples.
+    assert store(marked(1), FOCAL, 2.0 * SPACING) is not more
+
+
+def test_no_more_is_kept_than_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    size = len(depth_samples(VIEWS.arrays, marked(1), FOCAL, SPACING).columns)
+    monkeypatch.setattr(sample_store, "MOST_SAMPLES", size)
+    store = SampleStore(VIEWS.arrays)
+    first = store(marked(1), FOCAL, SPACING)
+    assert store(marked(1), FOCAL, SPACING) is first
+    large = store(marked(3, 4, 5), FOCAL, SPACING)
+    assert len(large.columns) > size
+    assert store(marked(1), FOCAL, SPACING) is first
+    for spacing in range(10, 20):
+        store(marked(1), FOCAL, float(spacing))
+    assert store(marked(1), FOCAL, SPACING) is not first
+
+
+def test_costs_do_not_depend_on_what_was_asked_before() -> None:
+    poses = np.stack([looking([x, -2.5, 1.0], [x, 0.0, 1.0]) for x in np.linspace(-1.5, 1.5, 9)])
+    renderer = Renderer(VIEWS, WALL, quality=Quality.MEDIUM, threads=1)
+    together, _ = renderer.render_many(poses, CAMERA)
+    for pose, image in zip(poses, together, strict=True):
+        alone = Renderer(VIEWS, WALL, quality=Quality.MEDIUM, threads=1)
+        np.testing.assert_array_equal(alone.render_many(pose[None], CAMERA)[0][0], image)
+        np.testing.assert_array_equal(renderer.render_many(pose[None], CAMERA)[0][0], image)
