@@ -76,12 +76,12 @@ def find_hidden(
         depth_start: where the view's begins.
         width: of it; 0: there is none.
         height: of it.
-        full_width: of the view's finest level, and
+        full_width: of the view, on the level that columns and rows are of, and
         full_height: likewise.
         most: in depth maps of no more values than this points are looked up at once, in others
             among the blocks first.
         scratch: with the points and the result.
-        column: where the row with columns in the view's finest level begins, inside the image; and
+        column: where the row with columns in the view begins, inside the image; and
         row: the row with rows; and
         nearness: that with the points' inverse depths in the view; and
         hidden: that which receives 1 for points that are hidden, else 0.

@@ -20,7 +20,7 @@ from pipelines.lightfield.texel_intrinsic import LANES, add_texels, load_lanes
 CHUNK = 128
 # Chunks are filled up to a multiple of ``LANES``, what a processor works on at once. Where the rows
 # of a chunk's scratch begin: x, y, inverse depth and the view's weight; what comes out: fraction,
-# upper and lower weight; and the place in the view's finest level, the point's inverse depth there,
+# upper and lower weight; and the place in the view's level, the point's inverse depth there,
 # and what is seen there. Unsigned: for signed indices the compiler would have to count from the
 # end, too, and could not see that they follow each other.
 ROW_LENGTH = CHUNK + LANES
@@ -143,8 +143,6 @@ def place_samples(
     farthest: np.float32,
     width: np.int32,
     height: np.int32,
-    full_width: np.float32,
-    full_height: np.float32,
     scale_x: np.float32,
     scale_y: np.float32,
 ) -> tuple[np.float32, np.float32]:
@@ -159,8 +157,6 @@ def place_samples(
         farthest: see there.
         width: of the level, and
         height: likewise.
-        full_width: of the view's finest level, and
-        full_height: likewise.
         scale_x: how many of the level's columns one of the finest level's is, and
         scale_y: of its rows. Worked out here they would be divisions at every point: the compiler
             may move them.
@@ -169,16 +165,14 @@ def place_samples(
         How many of the points the view shows on this level, and how many on other levels. All
         others get the weight 0.
     """
-    m0, m1, m2, m3, m4 = (
-        coefficients[0],
-        coefficients[1],
-        coefficients[2],
-        coefficients[3],
-        coefficients[4],
-    )
-    m5, m6, m7, m8 = coefficients[5], coefficients[6], coefficients[7], coefficients[8]
-    s0, s1, s2 = coefficients[9], coefficients[10], coefficients[11]
-    right, bottom = full_width - HALF, full_height - HALF
+    m6, m7, m8, s2 = coefficients[6], coefficients[7], coefficients[8], coefficients[11]
+    # From the finest level to this one: a pixel's middle is half of one from its corner.
+    shift_x, shift_y = HALF * scale_x - HALF, HALF * scale_y - HALF
+    m0, m1 = scale_x * coefficients[0] + shift_x * m6, scale_x * coefficients[1] + shift_x * m7
+    m2, s0 = scale_x * coefficients[2] + shift_x * m8, scale_x * coefficients[9] + shift_x * s2
+    m3, m4 = scale_y * coefficients[3] + shift_y * m6, scale_y * coefficients[4] + shift_y * m7
+    m5, s1 = scale_y * coefficients[5] + shift_y * m8, scale_y * coefficients[10] + shift_y * s2
+    right, bottom = np.float32(width) - HALF, np.float32(height) - HALF
     last_x, last_y = np.float32(width - 1), np.float32(height - 1)
     # The texel on the right and the row below are there; at the border they get all the weight.
     last_left, last_top = max(last_x - ONE, ZERO), max(last_y - ONE, ZERO)
@@ -200,8 +194,7 @@ def place_samples(
         scratch[i + COLUMN] = u
         scratch[i + ROW] = v
         scratch[i + NEARNESS] = d * reciprocal
-        u = min(max((u + HALF) * scale_x - HALF, ZERO), last_x)
-        v = min(max((v + HALF) * scale_y - HALF, ZERO), last_y)
+        u, v = min(max(u, ZERO), last_x), min(max(v, ZERO), last_y)
         left, top = np.int32(min(u, last_left)), np.int32(min(v, last_top))
         offsets[i] = top * width + left
         scratch[i + FRACTION] = u - np.float32(left)
