@@ -1,5 +1,7 @@
 """The costs against plain formulas, and that looking at nothing never wins."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -18,6 +20,7 @@ from pipelines.lightfield.comparison import (
     compare,
     fitted_gain,
     prepared,
+    prepared_pixels,
 )
 from pipelines.lightfield.compiled import compiled_kernel
 from pipelines.lightfield.proxy import Quality, plane_inverse_depth
@@ -308,3 +311,16 @@ def test_what_stands_in_front_does_not_change_the_robust_costs_gain() -> None:
     # Of the colours in front, a few happen to be nearly equal.
     assert gain == pytest.approx(0.9, abs=0.06)
     assert abs(gain - 0.9) < 0.3 * abs(gain_of(image, covered, query) - 0.9)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+def test_pixels_that_are_compared_are_prepared_as_the_whole_image_is(dtype: type) -> None:
+    generator = np.random.default_rng(4)
+    query: Any = generator.integers(0, 256, (7, 9, 3)).astype(dtype)
+    if dtype is np.float32:
+        query[generator.uniform(size=query.shape) < 0.2] = np.nan
+    whole = prepared(query).reshape(-1, 4)
+    chosen, pixels = prepared_pixels(query)
+    np.testing.assert_array_equal(chosen, np.flatnonzero(whole[:, 3]))
+    np.testing.assert_array_equal(pixels[0], whole[chosen])
+    assert (len(chosen) < len(whole)) == (dtype is np.float32)

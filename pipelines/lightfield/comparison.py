@@ -10,7 +10,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from pipelines.artifacts.array_types import Float32Array, ImageArray
+from pipelines.artifacts.array_types import BoolArray, Float32Array, ImageArray, Int32Array
 from pipelines.lightfield.compiled import compiled_leaf, compiled_loop, compiled_part
 
 
@@ -56,14 +56,35 @@ def prepared(query: ImageArray | Float32Array) -> Float32Array:
     Returns:
         ``(H, W, 4)``: colours, zero where not to be compared, and 1 where they are, else 0.
     """
+    known = _known(query)
     result = np.empty((*query.shape[:2], 4), dtype=np.float32)
     result[..., :3] = query
-    # Not a number in one channel is none in their sum.
-    known = np.isfinite(result[..., 0] + result[..., 1] + result[..., 2])
     if not known.all():
         result[~known] = 0.0
     result[..., 3] = known
     return result
+
+
+def prepared_pixels(query: ImageArray | Float32Array) -> tuple[Int32Array, Float32Array]:
+    """Those pixels of a camera image that are to be compared, as ``compare`` takes them.
+
+    Args:
+        query: as for ``prepared``.
+
+    Returns:
+        Their indices ``(P,)``, rising, and ``(1, P, 4)`` their colours, and 1.
+    """
+    chosen = np.flatnonzero(_known(query)).astype(np.int32)
+    pixels = np.ones((1, len(chosen), 4), dtype=np.float32)
+    pixels[0, :, :3] = query.reshape(-1, 3)[chosen]
+    return chosen, pixels
+
+
+def _known(query: ImageArray | Float32Array) -> BoolArray:
+    """Which pixels ``(H, W)`` of a camera image are to be compared."""
+    image = np.asarray(query, dtype=np.float32)
+    # Not a number in one channel is none in their sum.
+    return np.asarray(np.isfinite(image[..., 0] + image[..., 1] + image[..., 2]))
 
 
 @compiled_part

@@ -19,7 +19,7 @@ from pipelines.artifacts.errors import OptionError, StageError
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
 from pipelines.lightfield.blending import Blending, outlook_positions, tile_borders
-from pipelines.lightfield.comparison import Cost, prepared
+from pipelines.lightfield.comparison import Cost, prepared, prepared_pixels
 from pipelines.lightfield.devices import Device, chosen_gpu
 from pipelines.lightfield.kernels import NO_COMPARISON, render_nets, render_tiles
 from pipelines.lightfield.proxy import SOURCE_VIEWS, Quality, cell_size, usual_inverse_depth
@@ -237,13 +237,12 @@ class Renderer:
         """
         check_query(query, intrinsics)
         poses = np.ascontiguousarray(world_from_camera, dtype=np.float64)
-        target, costs = prepared(query), np.empty(len(poses))
-        chosen = every_pixel(intrinsics)
+        costs = np.empty(len(poses))
         # Gradients are differences between neighbours; else what is not compared is not rendered.
-        if cost is not Cost.GRADIENT:
-            chosen = np.flatnonzero(target[..., 3]).astype(np.int32)
-            target = np.ascontiguousarray(target.reshape(1, -1, 4)[:, chosen])
-
+        if cost is Cost.GRADIENT:
+            chosen, target = every_pixel(intrinsics), prepared(query)
+        else:
+            chosen, target = prepared_pixels(query)
         surfaces = self._surfaces(poses, intrinsics, chosen)
         vector, kind = intrinsics.vector(), int(cost)
 

@@ -191,6 +191,12 @@ class Workspace(NamedTuple):
     coefficients: Float32Array
 
 
+@functools.cache
+def _unused() -> tuple[NetRoom, Tiling]:
+    """What is there because a workspace has it, and neither read nor written."""
+    return net_room_for(0), tiling_for(1, 1, 0, 0)
+
+
 def workspace_for(field: LightField, width: int, height: int, chosen: Int32Array) -> Workspace:
     """Memory for rendering some pixels of views of one size.
 
@@ -201,15 +207,18 @@ def workspace_for(field: LightField, width: int, height: int, chosen: Int32Array
         chosen: (P,) int32 the pixels, rising.
     """
     count = len(field.views.centres)
-    size = (1, 1) if field.is_net else (width, height)
-    groups = len(field.view_index.members) // GROUP_VIEWS
-    tiling = tiling_for(*size, count, groups)
-    tiles = (len(tiling.down) - 1, len(tiling.across) - 1)
-    cells = 4 * count + 8 if field.is_net else tiles[0] * tiles[1]
-    origins = np.zeros((cells, 2))
-    if not field.is_net:
-        corners = origins.reshape((*tiles, 2))
+    if field.is_net:
+        room, tiling = net_room_for(count), _unused()[1]
+        cells = 4 * count + 8
+        origins = np.zeros((cells, 2))
+    else:
+        groups = len(field.view_index.members) // GROUP_VIEWS
+        room, tiling = _unused()[0], tiling_for(width, height, count, groups)
+        tiles = (len(tiling.down) - 1, len(tiling.across) - 1)
+        cells = tiles[0] * tiles[1]
+        corners = np.empty((*tiles, 2))
         corners[..., 0], corners[..., 1] = tiling.across[:-1], tiling.down[:-1, None]
+        origins = corners.reshape((cells, 2))
     return Workspace(
         np.empty((3, 3)),
         np.empty((count, 3, 3)),
@@ -220,7 +229,7 @@ def workspace_for(field: LightField, width: int, height: int, chosen: Int32Array
         np.empty((cells, VIEWS_PER_TILE, 4)),
         origins,
         tiling,
-        net_room_for(count if field.is_net else 0),
+        room,
         np.zeros((height, width), np.int64),
         pixel_order_for(chosen, width, cells),
         links_for(count, cells),

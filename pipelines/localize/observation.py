@@ -9,6 +9,7 @@ To weigh particles, some of the pixels are enough: those of a lattice that has a
 and column, another one for each image, so that all pixels have their turn.
 """
 
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -49,6 +50,12 @@ def lattice(shape: tuple[int, int], step: int, shift: int, number: int) -> BoolA
     return np.asarray((columns + shift * rows) % step == number % step)
 
 
+@functools.lru_cache(maxsize=32)
+def _kept_lattice(shape: tuple[int, int], step: int, number: int) -> BoolArray:
+    """A lattice of the filter, which is not changed."""
+    return lattice(shape, step, LATTICES[step], number)
+
+
 @dataclass(frozen=True)
 class Observation:
     """A camera image ready for comparison.
@@ -72,7 +79,7 @@ class Observation:
         height, width = self.image.shape[:2]
         able = [step for step in LATTICES if height * width >= step * FEWEST_COMPARED]
         step = max((step for step in able if step <= one_in), default=1)
-        is_compared = lattice((height, width), step, LATTICES[step], self.number)
+        is_compared = _kept_lattice((height, width), step, self.number % step)
         return np.where(is_compared[..., None], self.image, np.float32(np.nan))
 
 
