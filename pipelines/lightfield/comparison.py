@@ -11,6 +11,7 @@ from enum import IntEnum
 import numpy as np
 
 from pipelines.artifacts.array_types import BoolArray, Float32Array, ImageArray, Int32Array
+from pipelines.lightfield.aligned_memory import aligned
 from pipelines.lightfield.compiled import compiled_leaf, compiled_loop, compiled_part
 
 
@@ -75,8 +76,9 @@ def prepared_pixels(query: ImageArray | Float32Array) -> tuple[Int32Array, Float
         Their indices ``(P,)``, rising, and ``(1, P, 4)`` their colours, and 1.
     """
     chosen = np.flatnonzero(_known(query)).astype(np.int32)
-    pixels = np.ones((1, len(chosen), 4), dtype=np.float32)
+    pixels = aligned(4 * len(chosen), np.float32).reshape((1, len(chosen), 4))
     pixels[0, :, :3] = query.reshape(-1, 3)[chosen]
+    pixels[..., 3] = ONE
     return chosen, pixels
 
 

@@ -18,6 +18,7 @@ from pipelines.artifacts.array_types import (
 from pipelines.artifacts.errors import OptionError, StageError
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
+from pipelines.lightfield.aligned_memory import aligned
 from pipelines.lightfield.blending import Blending, outlook_positions, tile_borders
 from pipelines.lightfield.comparison import Cost, prepared, prepared_pixels
 from pipelines.lightfield.devices import Device, chosen_gpu
@@ -247,7 +248,7 @@ class Renderer:
         vector, kind = intrinsics.vector(), int(cost)
 
         def score(part: slice) -> None:
-            image = np.empty((1, *target.shape), dtype=np.float32)
+            image = aligned(target.size, np.float32).reshape((1, *target.shape))
             own, result = surfaces(part), costs[part]
             self._render(poses[part], vector, own, chosen, target, kind, fit_gain, image, result)
 
