@@ -71,7 +71,7 @@ def set_net(
         space.labels,
     )
     if cells > 0:
-        order_by_label(space.labels, cells, space.order)
+        order_by_label(space.labels, cells, surface, space.order)
     return cells
 
 

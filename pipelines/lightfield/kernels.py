@@ -86,8 +86,10 @@ def _show_cells(
         How many pixels none of the views of their cells shows.
     """
     order = space.order
-    for i in range(len(order.chosen)):
-        order.surface[i] = surface[order.indices[i]]
+    # A net's pixels are ordered anew for each view, and their surface with them.
+    if not field.is_net:
+        for i in range(np.uintp(len(order.chosen))):
+            order.surface[i] = surface[np.uintp(order.indices[i])]
     for i in range(len(colours)):
         colours[i] = ZERO
     blend_cells(
@@ -217,9 +219,11 @@ def render_tiles(
             the pixel; all zero elsewhere. For a comparison one is enough.
         costs: (B,) receives the costs.
     """
+    if len(poses) == 0:
+        return
     width, cells = surfaces.shape[2], len(space.cell_views)
     set_labels(space.tiling.across, space.tiling.down, space.labels)
-    order_by_label(space.labels, cells, space.order)
+    order_by_label(space.labels, cells, surfaces[0].reshape(-1), space.order)
     for index in range(len(poses)):
         pose, surface = poses[index], surfaces[index].reshape(-1)
         image = images[index % len(images)]

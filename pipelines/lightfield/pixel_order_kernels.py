@@ -63,21 +63,22 @@ def pixel_order_for(chosen: Int32Array, width: int, cells: int) -> PixelOrder:
 
 
 @compiled_leaf
-def order_by_label(labels: IntArray, cells: int, order: PixelOrder) -> None:
-    """Sorts the chosen pixels by their labels.
+def order_by_label(labels: IntArray, cells: int, surface: Float32Array, order: PixelOrder) -> None:
+    """Sorts the chosen pixels, and their inverse depths, by their labels.
 
     Args:
         labels: (H, W) each pixel's cell.
         cells: their number.
+        surface: (H W,) inverse depths.
         order: changed.
     """
     starts = order.starts
     for cell in range(cells + 1):
         starts[cell] = 0
     if len(order.chosen) == labels.size:
-        _order_all(labels, cells, order)
+        _order_all(labels, cells, surface, order)
     else:
-        _order_some(labels.reshape(-1), cells, order)
+        _order_some(labels.reshape(-1), cells, surface, order)
     # Each start has moved to the next one's place.
     for cell in range(cells, 0, -1):
         starts[cell] = starts[cell - 1]
@@ -92,7 +93,7 @@ def _add_up(starts: IntArray, cells: int) -> None:
 
 
 @compiled_leaf
-def _order_some(labels: IntArray, cells: int, order: PixelOrder) -> None:
+def _order_some(labels: IntArray, cells: int, surface: Float32Array, order: PixelOrder) -> None:
     """Pixel by pixel; a cell's place is read and written only where another cell begins."""
     starts, count = order.starts, np.uintp(len(order.chosen))
     last, run = np.int64(0), np.int64(0)
@@ -115,12 +116,13 @@ def _order_some(labels: IntArray, cells: int, order: PixelOrder) -> None:
         order.rows[place] = order.chosen_rows[i]
         order.pixels[place] = i
         order.indices[place] = order.chosen[i]
+        order.surface[place] = surface[np.uintp(order.chosen[i])]
         place += np.uintp(1)
     starts[last] = place
 
 
 @compiled_leaf
-def _order_all(labels: IntArray, cells: int, order: PixelOrder) -> None:
+def _order_all(labels: IntArray, cells: int, surface: Float32Array, order: PixelOrder) -> None:
     """All pixels of an image, by runs of equal labels."""
     starts = order.starts
     height, width = labels.shape
@@ -137,11 +139,13 @@ def _order_all(labels: IntArray, cells: int, order: PixelOrder) -> None:
             last = _end_of_run(labels, y, first, width)
             place = np.uintp(starts[labels[y, first]])
             starts[labels[y, first]] += last - first
+            pixel = np.uintp(y * width + first)
             for i in range(np.uintp(last - first)):
                 order.columns[place + i] = np.float32(first + np.int32(i))
                 order.rows[place + i] = np.float32(y)
                 order.pixels[place + i] = y * width + first + np.int32(i)
                 order.indices[place + i] = y * width + first + np.int32(i)
+                order.surface[place + i] = surface[pixel + i]
             first = last
 
 
