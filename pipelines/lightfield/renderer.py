@@ -31,7 +31,7 @@ from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.surface_room import surface_room_for
 from pipelines.lightfield.view_index import build_index
 from pipelines.lightfield.views import Views, views_of_scene, without_depth
-from pipelines.lightfield.workspace import LightField, workspace_for
+from pipelines.lightfield.workspace import LightField, Workspaces
 
 logger = logging.getLogger(__name__)
 
@@ -136,6 +136,7 @@ class Renderer:
             has_depth=quality is not Quality.PLANE,
             is_net=blending is Blending.DELAUNAY,
         )
+        self._spaces = Workspaces(self._field)
 
     @classmethod
     def of_scene(
@@ -323,9 +324,9 @@ class Renderer:
     ) -> None:
         """Renders and compares, see ``kernels.render_tiles``."""
         render = render_nets if self._field.is_net else render_tiles
-        space = workspace_for(self._field, surfaces.shape[2], surfaces.shape[1], chosen)
         field = self._field
-        render(field, poses, intrinsics, surfaces, space, query, kind, fit_gain, images, costs)
+        with self._spaces.one_for(surfaces.shape[2], surfaces.shape[1], chosen) as space:
+            render(field, poses, intrinsics, surfaces, space, query, kind, fit_gain, images, costs)
 
     def _run(self, work: Callable[[slice], None], count: int, most: int) -> None:
         """Does work on all of so many poses: at most so many in one call, some for every thread."""

@@ -1,6 +1,8 @@
 """What the fast renderer reads and writes: the light field, and memory for the views it draws."""
 
+import contextlib
 import functools
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +29,8 @@ from pipelines.lightfield.views import ViewArrays
 SLOTS = 16
 # Pixels that their cells leave empty are shown by others so many at a time.
 SUBSTITUTES_TOGETHER = 1024
+# Workspaces are kept for images of so many pixels at most, and of so many sizes.
+MOST_KEPT_PIXELS, MOST_KEPT_SIZES = 80_000, 8
 # Behind the last cell of a chain.
 END = -1
 
@@ -81,8 +85,8 @@ class Substitutes(NamedTuple):
     """Pixels that none of their cell's views show, and the views that do instead.
 
     Attributes:
-        pixels: ``(P,)`` int32 which of those that are rendered, and
-        views: ``(P, 1)`` the view of each.
+        pixels: ``(H W,)`` int32 which of those that are rendered, and
+        views: ``(H W, 1)`` the view of each.
         order: the order of as many as are rendered at a time, each of which is a cell, and
         links: their chains, and
         cell_weights: ``(n, 1, 4)`` their weights, all 1, and
@@ -233,10 +237,41 @@ def workspace_for(field: LightField, width: int, height: int, chosen: Int32Array
         np.zeros((height, width), np.int64),
         pixel_order_for(chosen, width, cells),
         links_for(count, cells),
-        substitutes_for(len(chosen), count),
+        substitutes_for(width * height, count),
         *_chunk_memory(),
         np.empty(COEFFICIENTS, np.float32),
     )
+
+
+class Workspaces:
+    """Workspaces of a light field that are not in use: to make one takes as long as some particles.
+
+    Threads may share it.
+
+    Args:
+        field: the light field.
+    """
+
+    def __init__(self, field: LightField) -> None:
+        self._field = field
+        self._idle: dict[tuple[int, int], list[Workspace]] = {}
+
+    @contextlib.contextmanager
+    def one_for(self, width: int, height: int, chosen: Int32Array) -> Iterator[Workspace]:
+        """A workspace that is nobody else's meanwhile; see ``workspace_for``."""
+        idle = self._idle.setdefault((width, height), [])
+        try:
+            space = idle.pop()
+        except IndexError:
+            space = workspace_for(self._field, width, height, chosen)
+        if not np.array_equal(space.order.chosen, chosen):
+            order = pixel_order_for(chosen, width, len(space.cell_views))
+            space = space._replace(order=order)
+        yield space
+        if width * height <= MOST_KEPT_PIXELS:
+            idle.append(space)
+        for oldest in list(self._idle)[:-MOST_KEPT_SIZES]:
+            self._idle.pop(oldest, None)
 
 
 def _chunk_memory() -> tuple[Float32Array, Int32Array, Int32Array]:

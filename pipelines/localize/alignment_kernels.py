@@ -101,7 +101,7 @@ def normal_equations(
         each tile (tiles, D + 2).
     """
     count = len(axes) + 2
-    upper, clusters = np.zeros((count, count)), np.zeros((tiles_across**2, count))
+    hessian, clusters = np.zeros((count, count)), np.zeros((tiles_across**2, count))
     motions, sums = np.empty((len(axes), MOTION_NUMBERS)), np.empty(SUMS)
     _add_normal_equations(
         image,
@@ -118,10 +118,10 @@ def normal_equations(
         tiles_across,
         motions,
         sums,
-        upper,
+        hessian,
         clusters,
     )
-    return upper + np.triu(upper, 1).T, clusters
+    return hessian, clusters
 
 
 @compiled_kernel
@@ -161,7 +161,7 @@ def _add_normal_equations(
         motions: (D, MOTION_NUMBERS) overwritten: turning and shifting, see ``_set_motions``, and
             how the pixel at hand moves, two numbers.
         sums: (SUMS,) overwritten.
-        hessian: (D + 2, D + 2) zeros; its upper triangle receives the sum.
+        hessian: (D + 2, D + 2) zeros, receives the sum.
         clusters: (tiles, D + 2) zeros, receives the gradient of each tile.
     """
     height, width = inverse_depth.shape
@@ -196,6 +196,9 @@ def _add_normal_equations(
             hessian[unknowns, unknowns] += sums[11]
             hessian[unknowns, unknowns + 1] += sums[12]
             hessian[unknowns + 1, unknowns + 1] += sums[13]
+    for k in range(unknowns + 2):
+        for other in range(k):
+            hessian[k, other] = hessian[other, k]
 
 
 @compiled_leaf

@@ -40,21 +40,21 @@ def fitted_brightness(
     most = 3 * -(-height // stride) * -(-width // stride)
     values, wanted, errors = np.empty((3, most))
     histogram = np.empty(HISTOGRAM_BINS, np.int64)
-    count = _gather(view, target, stride, values, wanted)
-    if count == 0:
-        return 1.0, 0.0, smallest_scale
     return _fit(
-        values[:count],
-        wanted[:count],
+        view,
+        target,
+        stride,
         cutoff,
         smallest_scale,
         largest_gain,
-        errors[:count],
+        values,
+        wanted,
+        errors,
         histogram,
     )
 
 
-@compiled_kernel
+@compiled_leaf
 def _gather(
     view: Float32Array, target: Float32Array, stride: int, values: FloatArray, wanted: FloatArray
 ) -> int:
@@ -72,25 +72,35 @@ def _gather(
 
 @compiled_kernel
 def _fit(
-    values: FloatArray,
-    wanted: FloatArray,
+    view: Float32Array,
+    target: Float32Array,
+    stride: int,
     cutoff: float,
     smallest_scale: float,
     largest_gain: float,
+    values: FloatArray,
+    wanted: FloatArray,
     errors: FloatArray,
     histogram: IntArray,
 ) -> tuple[float, float, float]:
-    """``fitted_brightness`` for the values of channels (n,), and those that are wanted.
+    """``fitted_brightness``, of whose arguments most are.
 
     Args:
-        values: rendered, at least one, and
-        wanted: of the camera image.
-        cutoff: see there, as the next two.
+        view: see there, as all up to largest_gain.
+        target: see there.
+        stride: see there.
+        cutoff: see there.
         smallest_scale: see there.
         largest_gain: see there.
-        errors: (n,) overwritten.
+        values: (n,) for three of each pixel that is used, overwritten; so are the next two.
+        wanted: likewise.
+        errors: likewise.
         histogram: (HISTOGRAM_BINS,) overwritten.
     """
+    count = _gather(view, target, stride, values, wanted)
+    if count == 0:
+        return 1.0, 0.0, smallest_scale
+    values, wanted, errors = values[:count], wanted[:count], errors[:count]
     for i in range(len(values)):
         errors[i] = wanted[i] - values[i]
     gain, offset = 1.0, binned_median(errors, -255.0, 255.0, histogram)
