@@ -7,7 +7,7 @@ from scipy.stats import qmc
 from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray
 from pipelines.geometry.pose import inverse, world_from_base_planar
 from pipelines.lightfield.comparison import Cost, compare, prepared
-from pipelines.lightfield.compiled import compiled_kernel
+from pipelines.lightfield.compiled import compiled
 from pipelines.lightfield.renderer import Renderer
 from pipelines.localize.appearance import (
     DISTINCT_ANGLE,
@@ -26,7 +26,7 @@ from pipelines.localize.observation import Observation, Observer
 from pipelines.localize.state_space import PLANAR, SPATIAL
 from tests.report_samples import CAMERA, MOUNT, facing_wall, photo, wall_scene
 
-compiled_compare = compiled_kernel(compare)
+compiled_compare = compiled(compare)
 SCENE = wall_scene()
 REGION = region_of_area(SCENE.bounds)
 OBSERVER = Observer(CAMERA, [16])

@@ -22,14 +22,14 @@ from pipelines.lightfield.comparison import (
     prepared,
     prepared_pixels,
 )
-from pipelines.lightfield.compiled import compiled_kernel
+from pipelines.lightfield.compiled import compiled
 from pipelines.lightfield.proxy import Quality, plane_inverse_depth
 from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.views import with_depth
 from tests.lightfield_samples import WALL, looking, photo, photographed, pinhole
 
 # They are parts of a kernel; called from here they would not be compiled.
-compiled_compare, compiled_gain = compiled_kernel(compare), compiled_kernel(fitted_gain)
+compiled_compare, compiled_gain = compiled(compare), compiled(fitted_gain)
 every_cost = pytest.mark.parametrize("cost", Cost)
 
 

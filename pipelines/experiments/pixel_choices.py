@@ -15,7 +15,7 @@ from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray
 from pipelines.artifacts.errors import InputError
 from pipelines.dataset.dataset import CAMERA_FILE, GROUNDTRUTH_FILE, Dataset
 from pipelines.lightfield.comparison import compare, prepared
-from pipelines.lightfield.compiled import compiled_kernel
+from pipelines.lightfield.compiled import compiled
 from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.likelihood import LIKELIHOODS
@@ -30,7 +30,7 @@ STATES, TURNS = 60, 5
 LARGEST_TIME_GAP = 0.1
 
 # It is a step of the renderer; called from here it would not be compiled.
-_cost = compiled_kernel(compare)
+_cost = compiled(compare)
 
 # From grey levels (H, W), the turn, and random numbers to the weights (H, W) of the pixels.
 Choice = Callable[[FloatArray, int, np.random.Generator], FloatArray]

@@ -30,13 +30,13 @@ def compiled(function: Function) -> Function:
 
     It releases the interpreter lock, divides as the processor does (no exception for zero), and may
     fuse multiplication and addition; infinities and NaN keep their meaning.
+
+    It can make no arrays, nor can what it calls: they are given what they write to. Numba counts
+    the references to an array in every function that it is passed to, by locked operations on
+    memory that all threads share. In a function that is called for every pixel this takes several
+    times as long as the work itself; here it is left out. Slices are no new arrays.
     """
-    return _compiled_outside(function, count_references=True)
-
-
-def _compiled_outside(function: Function, count_references: bool) -> Function:
-    options = _options(EXACT, count_references, is_copied=False)
-    dispatcher: Any = njit(pipeline_class=KernelCompiler, **options)(function)
+    dispatcher: Any = njit(pipeline_class=KernelCompiler, **_options(EXACT, False))(function)
     # Where no folder can be written to, functions are compiled anew in every process.
     with contextlib.suppress(RuntimeError):
         dispatcher._cache = _DependencyCache(function)
@@ -44,31 +44,12 @@ def _compiled_outside(function: Function, count_references: bool) -> Function:
     return cast("Function", dispatcher)
 
 
-def compiled_kernel(function: Function) -> Function:
-    """Like ``compiled``, for functions that make no arrays and call none that does.
-
-    See ``compiled_leaf`` for what that saves.
-    """
-    return _compiled_outside(function, count_references=False)
-
-
-def compiled_step(function: Function) -> Function:
-    """Like ``compiled``, for functions that only compiled ones call.
+def compiled_leaf(function: Function) -> Function:
+    """Like ``compiled``, for small functions that only compiled ones call.
 
     They are compiled and kept along with their callers. From Python it is the plain function.
     """
-    return _compiled_inside(function, EXACT, count_references=True, is_copied=False)
-
-
-def compiled_leaf(function: Function) -> Function:
-    """Like ``compiled_step``, for small functions that make no arrays; slices are none.
-
-    Numba counts the references to an array in every function that it is passed to, by locked
-    operations on memory that all threads share. In a function that is called for every pixel this
-    takes several times as long as the work itself; here it is left out. A function that makes an
-    array after all does not compile.
-    """
-    return _compiled_inside(function, EXACT, count_references=False, is_copied=True)
+    return _compiled_inside(function, EXACT, is_copied=True)
 
 
 def compiled_part(function: Function) -> Function:
@@ -76,7 +57,7 @@ def compiled_part(function: Function) -> Function:
 
     They are not copied into their callers, where the compiler would work on each of them again.
     """
-    return _compiled_inside(function, EXACT, count_references=False, is_copied=False)
+    return _compiled_inside(function, EXACT, is_copied=False)
 
 
 def compiled_loop(function: Function) -> Function:
@@ -86,13 +67,11 @@ def compiled_loop(function: Function) -> Function:
     that, all that is read and written stands in few flat arrays at constant distances: then the
     compiler can prove that nothing it writes is read again.
     """
-    return _compiled_inside(function, REORDERED, count_references=False, is_copied=True)
+    return _compiled_inside(function, REORDERED, is_copied=True)
 
 
-def _compiled_inside(
-    function: Function, arithmetic: set[str], count_references: bool, is_copied: bool
-) -> Function:
-    options = _options(arithmetic, count_references, is_copied) | {"no_cpython_wrapper": True}
+def _compiled_inside(function: Function, arithmetic: set[str], is_copied: bool) -> Function:
+    options = _options(arithmetic, is_copied) | {"no_cpython_wrapper": True}
     dispatcher: Any = njit(pipeline_class=StepCompiler, **options)(function)
     # In compiled functions it stands for its machine code, which Python could not call.
     inside: Any = function
@@ -102,12 +81,13 @@ def _compiled_inside(
     return function
 
 
-def _options(arithmetic: set[str], count_references: bool, is_copied: bool) -> dict[str, Any]:
+def _options(arithmetic: set[str], is_copied: bool) -> dict[str, Any]:
     return {
         "nogil": True,
         "error_model": "numpy",
         "fastmath": arithmetic,
-        "_nrt": count_references,
+        # No counting of references.
+        "_nrt": False,
         # What is called for every pixel belongs into the loop that calls it.
         "forceinline": is_copied,
         # It is not called by C.

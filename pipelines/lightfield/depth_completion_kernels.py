@@ -3,7 +3,7 @@
 import numpy as np
 
 from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray, IntArray
-from pipelines.lightfield.compiled import compiled_kernel, compiled_part
+from pipelines.lightfield.compiled import compiled, compiled_part
 
 # Rows and columns to the eight neighbours of a pixel.
 DIRECTIONS = np.array([(-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)])
@@ -47,7 +47,7 @@ def _slopes(
         slopes[1] = (rr * cq - rc * rq) / determinant
 
 
-@compiled_kernel
+@compiled
 def carry_on(
     inverse_depth: Float32Array,
     known: BoolArray,

@@ -3,13 +3,13 @@
 import numpy as np
 
 from pipelines.artifacts.array_types import Float32Array, FloatArray
-from pipelines.lightfield.compiled import compiled_kernel
+from pipelines.lightfield.compiled import compiled
 
 # Homogeneous depth below which a point counts as behind the camera.
 _NEAR = 1e-6
 
 
-@compiled_kernel
+@compiled
 def project_depth(
     inverse_depth: Float32Array, rays: FloatArray, shift: FloatArray, projected: Float32Array
 ) -> None:
@@ -39,7 +39,7 @@ def project_depth(
             projected[row, column] = max(projected[row, column], np.float32(q / depth))
 
 
-@compiled_kernel
+@compiled
 def judge(
     candidate: Float32Array,
     rays: FloatArray,
@@ -85,7 +85,7 @@ def judge(
                 violation[y, x] += trust[row, column]
 
 
-@compiled_kernel
+@compiled
 def choose(
     candidates: Float32Array,
     support: Float32Array,

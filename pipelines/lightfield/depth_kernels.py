@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipelines.artifacts.array_types import Float32Array, FloatArray, ImageArray, Int32Array
-from pipelines.lightfield.compiled import compiled_kernel, compiled_leaf, compiled_part
+from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_part
 from pipelines.lightfield.record_type import compiled_record
 
 RADIUS = 1
@@ -39,7 +39,7 @@ def _repeat_border(padded: Float32Array) -> None:
             padded[height - 1 - y, x] = padded[height - 1 - RADIUS, x]
 
 
-@compiled_kernel
+@compiled
 def pack(image: ImageArray, texels: NDArray[np.uint32]) -> None:
     """Joins each four neighbouring pixels, so that interpolating between them is one read.
 
@@ -56,7 +56,7 @@ def pack(image: ImageArray, texels: NDArray[np.uint32]) -> None:
             texels[y, x] = np.uint32(top | bottom << np.uint32(16))
 
 
-@compiled_kernel
+@compiled
 def warp(
     texels: NDArray[np.uint32],
     rays: FloatArray,
@@ -121,7 +121,7 @@ def warp(
     _repeat_border(padded)
 
 
-@compiled_kernel
+@compiled
 def add_view_cost(
     reference: Float32Array,
     warped: Float32Array,
@@ -168,7 +168,7 @@ def add_view_cost(
                 cost[x] = larger
 
 
-@compiled_kernel
+@compiled
 def write_layer(best: Float32Array, layer: ImageArray, sums: Float32Array) -> None:
     """Writes the mean of the best views' costs ``(k, H, W)`` as bytes ``(H, W)``.
 
@@ -194,7 +194,7 @@ def write_layer(best: Float32Array, layer: ImageArray, sums: Float32Array) -> No
             row[x] = np.uint8(np.int32(mean if seeing[x] > _ZERO else UNSEEN_COST))
 
 
-@compiled_kernel
+@compiled
 def fill_unseen(volume: ImageArray, sums: Int32Array) -> None:
     """Gives planes on which no view sees a pixel that pixel's mean cost on the others.
 
@@ -220,7 +220,7 @@ def fill_unseen(volume: ImageArray, sums: Int32Array) -> None:
                     row[x] = np.uint8(total[x] // max(seeing[x], np.int32(1)))
 
 
-@compiled_kernel
+@compiled
 def distinctness(
     volume: ImageArray, index: Float32Array, total: Float32Array, distinct: Float32Array
 ) -> None:
@@ -348,7 +348,7 @@ def aggregation_room_for(planes: int, height: int, width: int) -> AggregationRoo
     )
 
 
-@compiled_kernel
+@compiled
 def aggregate(
     volume: ImageArray,
     grey: Float32Array,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray, IntArray
 from pipelines.geometry.camera import Intrinsics
-from pipelines.lightfield.compiled import compiled_kernel
+from pipelines.lightfield.compiled import compiled
 from pipelines.lightfield.net_cell_kernels import NetRoom, net_room_for
 from pipelines.lightfield.net_kernels import build_net
 
@@ -142,7 +142,7 @@ def _words_per_pose(cells: int, pixels: int, view_count: int) -> int:
     return CELL_WORDS * cells + labels + bits
 
 
-@compiled_kernel
+@compiled
 def _cut(
     poses: FloatArray,
     intrinsics: FloatArray,

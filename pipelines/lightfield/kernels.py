@@ -17,7 +17,7 @@ from pipelines.lightfield.blending_kernels import build_tiles, set_labels
 from pipelines.lightfield.cell_kernels import blend_cells, set_net
 from pipelines.lightfield.comparison import compare
 from pipelines.lightfield.compiled import (
-    compiled_kernel,
+    compiled,
     compiled_leaf,
     compiled_loop,
     compiled_part,
@@ -191,7 +191,7 @@ def _show(
             _show_substitutes(field, pose, intrinsics, found, surface, space, pixels)
 
 
-@compiled_kernel
+@compiled
 def render_tiles(
     field: LightField,
     poses: FloatArray,
@@ -245,7 +245,7 @@ def render_tiles(
             costs[index] = compare(kind, image, query, fit_gain)
 
 
-@compiled_kernel
+@compiled
 def render_nets(
     field: LightField,
     poses: FloatArray,

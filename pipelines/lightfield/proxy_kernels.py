@@ -5,10 +5,8 @@ import numpy as np
 from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray, IntArray
 from pipelines.lightfield.compiled import (
     compiled,
-    compiled_kernel,
     compiled_leaf,
     compiled_loop,
-    compiled_step,
 )
 from pipelines.lightfield.mapping_kernels import virtual_rays
 from pipelines.lightfield.proxy import (
@@ -33,7 +31,7 @@ FACTOR, NEIGHBOURS = np.float32(PINHOLE_FACTOR), np.float32(PINHOLE_NEIGHBOURS)
 EDGE, NEVER = np.float32(EDGE_FACTOR), np.float32(np.inf)
 
 
-@compiled_step
+@compiled_leaf
 def plane_surface(
     pose: FloatArray, rays: FloatArray, plane: FloatArray, surface: Float32Array
 ) -> None:
@@ -48,15 +46,17 @@ def plane_surface(
     distance = plane[3]
     for i in range(3):
         distance += plane[i] * pose[i, 3]
-    surface[:] = 0.0
     if distance <= 0.0:
+        for y in range(surface.shape[0]):
+            for x in range(surface.shape[1]):
+                surface[y, x] = 0.0
         return
-    slope = np.empty(3)
-    for j in range(3):
-        slope[j] = -(plane[0] * rays[0, j] + plane[1] * rays[1, j] + plane[2] * rays[2, j])
+    right = -(plane[0] * rays[0, 0] + plane[1] * rays[1, 0] + plane[2] * rays[2, 0])
+    down = -(plane[0] * rays[0, 1] + plane[1] * rays[1, 1] + plane[2] * rays[2, 1])
+    start = -(plane[0] * rays[0, 2] + plane[1] * rays[1, 2] + plane[2] * rays[2, 2])
     for y in range(surface.shape[0]):
         for x in range(surface.shape[1]):
-            value = (slope[0] * x + slope[1] * y + slope[2]) / distance
+            value = (right * x + down * y + start) / distance
             surface[y, x] = max(value, 0.0)
 
 
@@ -279,16 +279,19 @@ def _interpolate_some(room: SurfaceRoom, first: int, last: int, surface: Float32
 
 @compiled
 def plane_surfaces(
-    poses: FloatArray, intrinsics: FloatArray, plane: FloatArray, surfaces: Float32Array
+    poses: FloatArray,
+    intrinsics: FloatArray,
+    plane: FloatArray,
+    rays: FloatArray,
+    surfaces: Float32Array,
 ) -> None:
     """Writes the plane's inverse depths (B, H, W) in B virtual images; see ``plane_surface``."""
-    rays = np.empty((3, 3))
     for index in range(len(poses)):
         virtual_rays(poses[index], intrinsics, rays)
         plane_surface(poses[index], rays, plane, surfaces[index])
 
 
-@compiled_kernel
+@compiled
 def choose_sources(
     views: ViewArrays,
     usual_inverse_depth: float,
@@ -319,7 +322,7 @@ def choose_sources(
             own[number] = -1
 
 
-@compiled_kernel
+@compiled
 def depth_surfaces(
     views: ViewArrays,
     samples: DepthSamples,

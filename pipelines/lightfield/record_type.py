@@ -27,7 +27,6 @@ _Value: Any = NativeValue
 _with_model: Any = register_model
 _types: Any = typeof_impl
 _unboxes: Any = unbox
-_STATUS = ir.IntType(32)
 
 
 class RecordType(types.Type):
@@ -108,12 +107,7 @@ def _unboxed(record: RecordType, given: Any, context: Any) -> Any:
         place = _codegen.gep_inbounds(builder, address, 0, index)
         item = python.tuple_getitem(given, index)
         if isinstance(member, types.Array):
-            # Borrowed: its references are not counted.
-            kind_of_adaptor = ir.FunctionType(_STATUS, [python.pyobj, python.voidptr])
-            adapt = _codegen.get_or_insert_function(
-                builder.module, kind_of_adaptor, "numba_adapt_ndarray"
-            )
-            status = builder.call(adapt, [item, builder.bitcast(place, python.voidptr)])
+            status = python.numba_array_adaptor(item, builder.bitcast(place, python.voidptr))
             is_error = _codegen.is_not_null(builder, status)
         else:
             native = context.unbox(member, item)

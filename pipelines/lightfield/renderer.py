@@ -289,7 +289,8 @@ class Renderer:
 
             def of_plane(part: slice) -> Float32Array:
                 surfaces = np.empty((len(poses[part]), *size), dtype=np.float32)
-                plane_surfaces(poses[part], vector, self.plane.coefficients(), surfaces)
+                plane, rays = self.plane.coefficients(), np.empty((3, 3))
+                plane_surfaces(poses[part], vector, plane, rays, surfaces)
                 return surfaces
 
             return of_plane

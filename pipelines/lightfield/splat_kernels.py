@@ -12,7 +12,7 @@ from pipelines.artifacts.array_types import (
     IntArray,
 )
 from pipelines.lightfield.aligned_memory import aligned
-from pipelines.lightfield.compiled import compiled_kernel, compiled_leaf, compiled_loop
+from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_loop
 from pipelines.lightfield.proxy import PIXEL_PARTS, SAMPLES_PER_CELL
 from pipelines.lightfield.record_type import compiled_record
 from pipelines.lightfield.views import ViewArrays
@@ -96,7 +96,7 @@ def depth_samples(
     return samples
 
 
-@compiled_kernel
+@compiled
 def _fill(views: ViewArrays, samples: DepthSamples) -> None:
     """Takes the samples of the views that are sources."""
     columns, rows, inverse_depth = samples.columns, samples.rows, samples.inverse_depth

@@ -3,7 +3,7 @@
 import numpy as np
 
 from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray
-from pipelines.lightfield.compiled import compiled_kernel, compiled_leaf, compiled_loop
+from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_loop
 
 # A pixel whose neighbours differ by less than so many grey levels says nothing about the pose.
 FLAT = 4.0
@@ -14,7 +14,7 @@ MOTION_NUMBERS = 8
 ONE, NOTHING = np.float32(1.0), np.float32(0.0)
 
 
-@compiled_kernel
+@compiled
 def robust_error(
     view: Float32Array, target: Float32Array, gain: float, offset: float, limit: float
 ) -> float:
@@ -124,7 +124,7 @@ def normal_equations(
     return hessian, clusters
 
 
-@compiled_kernel
+@compiled
 def _add_normal_equations(
     image: Float32Array,
     inverse_depth: Float32Array,

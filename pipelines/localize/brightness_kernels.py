@@ -3,7 +3,7 @@
 import numpy as np
 
 from pipelines.artifacts.array_types import Float32Array, FloatArray, IntArray
-from pipelines.lightfield.compiled import compiled_kernel, compiled_leaf, compiled_loop
+from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_loop
 
 # Standard deviation of a normal distribution over its median absolute deviation.
 MAD_TO_SIGMA = 1.4826
@@ -70,7 +70,7 @@ def _gather(
     return count
 
 
-@compiled_kernel
+@compiled
 def _fit(
     view: Float32Array,
     target: Float32Array,

@@ -3,10 +3,10 @@
 import numpy as np
 
 from pipelines.artifacts.array_types import FloatArray
-from pipelines.lightfield.compiled import compiled_kernel
+from pipelines.lightfield.compiled import compiled
 
 
-@compiled_kernel
+@compiled
 def log_mixture_density(
     positions: FloatArray,
     centres: FloatArray,
