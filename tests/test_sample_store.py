@@ -5,7 +5,7 @@ import pytest
 
 from pipelines.artifacts.array_types import BoolArray, FloatArray
 from pipelines.lightfield import sample_store
-from pipelines.lightfield.proxy import Quality, sample_step
+from pipelines.lightfield.proxy import Quality
 from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.sample_store import SampleStore
 from pipelines.lightfield.splat_kernels import DepthSamples, depth_samples
@@ -52,7 +52,10 @@ def of_view(samples: DepthSamples, view: int) -> FloatArray:
 def test_samples_are_every_so_many_pixels_of_the_depth_map(view: int, spacing: float) -> None:
     samples = depth_samples(VIEWS.arrays, marked(view, 0), FOCAL, spacing)
     depth = VIEWS.depth_map(view)
-    step = sample_step(VIEWS, view, CAMERA, spacing) / 256.0
+    arrays = VIEWS.arrays
+    # 1.4 samples along a side of a cell, but no pixel twice; in parts of a pixel.
+    pixels = spacing * arrays.focal[view] * depth.shape[1] / arrays.level_size[view, 0, 0]
+    step = np.floor(256.0 * max(1.0, pixels / FOCAL / 1.4)) / 256.0
     rows, columns = (np.floor(np.arange(0.0, size, step)) for size in depth.shape)
     expected = [
         (column + 0.5 - 0.5 * depth.shape[1], row + 0.5 - 0.5 * depth.shape[0], value)

@@ -4,7 +4,6 @@ A tile is a cell in the sense of ``net_kernels``: some views, each with a weight
 the pixel, so that the renderer need not know which rule made it.
 """
 
-import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -98,7 +97,6 @@ def tiling_for(width: int, height: int, view_count: int, group_count: int) -> Ti
     )
 
 
-@functools.lru_cache(maxsize=32)
 def _places(
     width: int, height: int
 ) -> tuple[IntArray, IntArray, Float32Array, Float32Array, Int32Array]:

@@ -16,7 +16,7 @@ from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray,
 from pipelines.artifacts.errors import StageError
 from pipelines.geometry.camera import Intrinsics
 from pipelines.lightfield.gpu_device import Gpu, fill_layer, layers_of, texture_array, upload
-from pipelines.lightfield.proxy import sample_step
+from pipelines.lightfield.proxy import sample_steps
 from pipelines.lightfield.views import Views
 
 WordArray = NDArray[np.uint32]
@@ -175,9 +175,8 @@ def source_table(card: GpuViews, intrinsics: Intrinsics, spacing: float) -> Word
     rows[..., :3] = arrays.rays[card.chosen]
     rows[..., 3] = arrays.axes[card.chosen]
     table[:, :12] = rows.reshape(-1, 12).view(np.uint32)
-    for number, view in enumerate(card.chosen):
-        if arrays.depth_size[view, 0] > 0:
-            table[number, 12] = sample_step(card.views, int(view), intrinsics, spacing)
+    focal = 0.5 * (intrinsics.fx + intrinsics.fy)
+    table[:, 12] = sample_steps(arrays, focal, spacing)[card.chosen]
     return table
 
 

@@ -16,7 +16,7 @@ from pipelines.artifacts.errors import OptionError
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
 from pipelines.geometry.pose import inverse
-from pipelines.lightfield.views import Views
+from pipelines.lightfield.views import ViewArrays, Views
 
 
 class Quality(IntEnum):
@@ -134,7 +134,8 @@ def _splat(
     """Projects one depth map into the virtual image; of points in one cell the nearest stays."""
     arrays = views.arrays
     depth = views.depth_map(view).astype(np.float64)
-    step = sample_step(views, view, intrinsics, spacing)
+    focal = 0.5 * (intrinsics.fx + intrinsics.fy)
+    step = sample_steps(arrays, focal, spacing)[view]
     scale_x = arrays.level_size[view, 0, 0] / arrays.depth_size[view, 0]
     scale_y = arrays.level_size[view, 0, 1] / arrays.depth_size[view, 1]
     rows, columns = np.meshgrid(
@@ -158,17 +159,20 @@ def _splat(
     np.maximum.at(mesh, (row[inside], column[inside]), nearness)
 
 
-def sample_step(views: Views, view: int, intrinsics: Intrinsics, spacing: float) -> int:
+def sample_steps(arrays: ViewArrays, focal: float, spacing: float) -> IntArray:
     """From one projected depth pixel to the next, so that each cell gets a sample or two.
 
+    Args:
+        arrays: the light field.
+        focal: of the virtual camera, pixels.
+        spacing: of the mesh's corners, virtual pixels.
+
     Returns:
-        The step in parts of a pixel, of which ``PIXEL_PARTS`` are one.
+        Each view's step ``(N,)`` in parts of a pixel, of which ``PIXEL_PARTS`` are one.
     """
-    arrays = views.arrays
-    scale = arrays.depth_size[view, 0] / arrays.level_size[view, 0, 0]
-    focal = 0.5 * (intrinsics.fx + intrinsics.fy)
-    pixels = spacing * arrays.focal[view] * scale / focal / SAMPLES_PER_CELL
-    return int(PIXEL_PARTS * max(1.0, pixels))
+    scale = arrays.depth_size[:, 0] / arrays.level_size[:, 0, 0]
+    pixels = spacing * arrays.focal * scale / focal / SAMPLES_PER_CELL
+    return np.asarray((PIXEL_PARTS * np.maximum(1.0, pixels)).astype(np.int64))
 
 
 def _neighbours(mesh: FloatArray) -> FloatArray:

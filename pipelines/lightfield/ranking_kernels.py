@@ -9,14 +9,13 @@ import numpy as np
 from pipelines.artifacts.array_types import Float32Array, FloatArray, Int32Array
 from pipelines.lightfield.blending import (
     BORDER_PENALTY,
-    OCCLUSION_FACTOR,
     RESOLUTION_PENALTY,
     SMALLEST_MARGIN,
     SMALLEST_PENALTY,
     VIEWS_PER_CORNER,
 )
 from pipelines.lightfield.compiled import compiled_leaf, compiled_loop
-from pipelines.lightfield.occlusion_kernels import find_hidden
+from pipelines.lightfield.occlusion_kernels import find_hidden, is_occluded
 from pipelines.lightfield.texel_intrinsic import either, lanes_within
 from pipelines.lightfield.view_index import VIEW_NUMBERS, ViewIndex
 from pipelines.lightfield.views import ViewArrays
@@ -44,7 +43,6 @@ HALF, ONE, TWO, ZERO = np.float32(0.5), np.float32(1.0), np.float32(2.0), np.flo
 NEVER = np.float32(np.inf)
 BORDER, MARGIN = np.float32(BORDER_PENALTY), np.float32(SMALLEST_MARGIN)
 RESOLUTION, SMALLEST = np.float32(RESOLUTION_PENALTY), np.float32(SMALLEST_PENALTY)
-HIDDEN = np.float32(OCCLUSION_FACTOR)
 # Metres; what lies beyond is taken to be as far away as this. Single precision ends somewhere.
 FARTHEST = 1e7
 
@@ -194,21 +192,29 @@ def penalty_of(
 
 
 @compiled_loop
+def _penalty_at(
+    scratch: Float32Array, i: int, numbers: Float32Array, first: np.uintp
+) -> tuple[np.float32, np.float32, np.float32, np.float32]:
+    """``penalty_of`` a view, whose numbers begin there, at a point of the scratch."""
+    return penalty_of(
+        scratch[PX + i],
+        scratch[PY + i],
+        scratch[PZ + i],
+        scratch[VX + i],
+        scratch[VY + i],
+        scratch[VZ + i],
+        scratch[NEARNESS + i],
+        numbers,
+        first,
+        np.uintp(1),
+    )
+
+
+@compiled_loop
 def _set_penalties(scratch: Float32Array, numbers: Float32Array, first: np.uintp) -> None:
     """Writes the penalty of a view, whose numbers begin there, at each point."""
     for i in range(POINTS):
-        own, u, v, depth = penalty_of(
-            scratch[PX + i],
-            scratch[PY + i],
-            scratch[PZ + i],
-            scratch[VX + i],
-            scratch[VY + i],
-            scratch[VZ + i],
-            scratch[NEARNESS + i],
-            numbers,
-            first,
-            np.uintp(1),
-        )
+        own, u, v, depth = _penalty_at(scratch, i, numbers, first)
         scratch[OWN + i] = own
         scratch[COLUMN + i], scratch[ROW + i], scratch[AWAY + i] = u, v, depth
 
@@ -248,18 +254,7 @@ def _rank(
 ) -> None:
     """Puts a view, whose numbers begin there, in its place among the best of each point."""
     for i in range(POINTS):
-        own, _, _, _ = penalty_of(
-            scratch[PX + i],
-            scratch[PY + i],
-            scratch[PZ + i],
-            scratch[VX + i],
-            scratch[VY + i],
-            scratch[VZ + i],
-            scratch[NEARNESS + i],
-            numbers,
-            first,
-            np.uintp(1),
-        )
+        own, _, _, _ = _penalty_at(scratch, i, numbers, first)
         _insert(scratch, best, i, own, view)
 
 
@@ -273,16 +268,17 @@ def is_hidden(scratch: Float32Array, lane: int, views: ViewArrays, view: int) ->
         views: the light field.
         view: which.
     """
-    width, height = views.depth_size[view, 0], views.depth_size[view, 1]
-    if width == 0:
-        return False
-    scale_x = np.float32(width / views.level_size[view, 0, 0])
-    scale_y = np.float32(height / views.level_size[view, 0, 1])
-    own = ONE / scratch[AWAY + lane]
-    column = min(int((scratch[COLUMN + lane] * own + HALF) * scale_x), width - 1)
-    row = min(int((scratch[ROW + lane] * own + HALF) * scale_y), height - 1)
-    seen = views.inverse_depth[views.depth_start[view] + row * width + column]
-    return bool(seen > HIDDEN * own)
+    own = 1.0 / np.float64(scratch[AWAY + lane])
+    return is_occluded(
+        views.inverse_depth,
+        views.depth_start,
+        views.depth_size,
+        views.level_size,
+        view,
+        scratch[COLUMN + lane] * own,
+        scratch[ROW + lane] * own,
+        own,
+    )
 
 
 @compiled_loop

@@ -13,7 +13,7 @@ from pipelines.artifacts.array_types import (
 )
 from pipelines.lightfield.aligned_memory import aligned
 from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_loop
-from pipelines.lightfield.proxy import PIXEL_PARTS, SAMPLES_PER_CELL
+from pipelines.lightfield.proxy import PIXEL_PARTS, sample_steps
 from pipelines.lightfield.record_type import compiled_record
 from pipelines.lightfield.views import ViewArrays
 
@@ -76,9 +76,7 @@ def depth_samples(
         spacing: of the mesh's corners, virtual pixels.
     """
     width, height = views.depth_size[:, 0], views.depth_size[:, 1]
-    scale = width / views.level_size[:, 0, 0]
-    pixels = spacing * views.focal * scale / focal / SAMPLES_PER_CELL
-    steps = (PIXEL_PARTS * np.maximum(1.0, pixels)).astype(np.int64)
+    steps = sample_steps(views, focal, spacing)
     columns, rows = (-(-PIXEL_PARTS * size // steps) for size in (width, height))
     batches = -(-columns * rows // TOGETHER)
     most, count = int(batches[is_source].sum()) * TOGETHER, len(width)

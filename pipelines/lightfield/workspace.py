@@ -1,7 +1,6 @@
 """What the fast renderer reads and writes: the light field, and memory for the views it draws."""
 
 import contextlib
-import functools
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -21,7 +20,6 @@ from pipelines.lightfield.net_cell_kernels import NetRoom, net_room_for
 from pipelines.lightfield.pixel_order_kernels import PixelOrder, pixel_order_for
 from pipelines.lightfield.record_type import compiled_record
 from pipelines.lightfield.sampling_kernels import COEFFICIENTS, ROW_LENGTH, SCRATCH_SIZE
-from pipelines.lightfield.texel_intrinsic import LANES
 from pipelines.lightfield.view_index import GROUP_VIEWS, ViewIndex
 from pipelines.lightfield.views import ViewArrays
 
@@ -113,41 +111,23 @@ class Substitutes(NamedTuple):
 
 def substitutes_for(pixels: int, views: int) -> Substitutes:
     """Memory for the substitutes of so many pixels, by so many views."""
-    starts, weights, origins = _single_cells()
-    columns, rows, surface = np.zeros((3, SUBSTITUTES_TOGETHER + LANES), np.float32)
-    nothing = np.empty(0, np.int32)
-    order = PixelOrder(
-        nothing,
-        surface[:0],
-        surface[:0],
-        starts,
-        columns,
-        rows,
-        surface,
-        np.zeros(SUBSTITUTES_TOGETHER + LANES, np.int32),
-        nothing,
-    )
+    order = pixel_order_for(np.zeros(SUBSTITUTES_TOGETHER, np.int32), 1, SUBSTITUTES_TOGETHER)
+    order.starts[:] = np.arange(SUBSTITUTES_TOGETHER + 1)
+    weights = np.zeros((SUBSTITUTES_TOGETHER, 1, 4))
+    weights[..., 2] = 1.0
     return Substitutes(
         np.empty(pixels, np.int32),
         np.empty((pixels, 1), np.int64),
         order,
         links_for(views, SUBSTITUTES_TOGETHER),
         weights,
-        origins,
+        np.zeros((SUBSTITUTES_TOGETHER, 2)),
         np.empty(views, np.int64),
         np.empty(views, np.int64),
         np.empty(6),
         np.empty(3),
         np.empty(2),
     )
-
-
-@functools.cache
-def _single_cells() -> tuple[IntArray, FloatArray, FloatArray]:
-    """Beginnings, weights, and origins of cells of one pixel and one view each; never changed."""
-    weights = np.zeros((SUBSTITUTES_TOGETHER, 1, 4))
-    weights[..., 2] = 1.0
-    return np.arange(SUBSTITUTES_TOGETHER + 1), weights, np.zeros((SUBSTITUTES_TOGETHER, 2))
 
 
 @compiled_record
@@ -195,12 +175,6 @@ class Workspace(NamedTuple):
     coefficients: Float32Array
 
 
-@functools.cache
-def _unused() -> tuple[NetRoom, Tiling]:
-    """What is there because a workspace has it, and neither read nor written."""
-    return net_room_for(0), tiling_for(1, 1, 0, 0)
-
-
 def workspace_for(field: LightField, width: int, height: int, chosen: Int32Array) -> Workspace:
     """Memory for rendering some pixels of views of one size.
 
@@ -212,12 +186,12 @@ def workspace_for(field: LightField, width: int, height: int, chosen: Int32Array
     """
     count = len(field.views.centres)
     if field.is_net:
-        room, tiling = net_room_for(count), _unused()[1]
+        room, tiling = net_room_for(count), tiling_for(1, 1, 0, 0)
         cells = 4 * count + 8
         origins = np.zeros((cells, 2))
     else:
         groups = len(field.view_index.members) // GROUP_VIEWS
-        room, tiling = _unused()[0], tiling_for(width, height, count, groups)
+        room, tiling = net_room_for(0), tiling_for(width, height, count, groups)
         tiles = (len(tiling.down) - 1, len(tiling.across) - 1)
         cells = tiles[0] * tiles[1]
         corners = np.empty((*tiles, 2))

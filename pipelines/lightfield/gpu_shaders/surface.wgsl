@@ -75,17 +75,17 @@ fn project(pose: Pose, direction: vec3<f32>) -> vec3<f32> {
 fn splat(lane: u32, first: u32, pose: Pose, index: u32) {
   let view = views[index];
   let source = sources[index];
-  let spacing = source.step.x;
+  let sample_step = source.step.x;
   let size = depth_map_size(view);
   let scale = view.photo.xy / vec2<f32>(size);
-  let count = (size * PIXEL_PARTS + spacing - 1u) / spacing;
+  let count = (size * PIXEL_PARTS + sample_step - 1u) / sample_step;
   let shift = project(pose, centre_of_view(view) - centre_of_pose(pose));
   // The columns of the matrix from the view's pixels to virtual ones.
   let x = project(pose, vec3(source.x.x, source.y.x, source.z.x));
   let y = project(pose, vec3(source.x.y, source.y.y, source.z.y));
   let one = project(pose, vec3(source.x.z, source.y.z, source.z.z));
   for (var sample = lane; sample < count.x * count.y; sample += LANES) {
-    let cell = spacing * vec2(sample % count.x, sample / count.x) / PIXEL_PARTS;
+    let cell = sample_step * vec2(sample % count.x, sample / count.x) / PIXEL_PARTS;
     let value = depth_at(view, cell);
     if (value <= 0.0) {
       continue;
