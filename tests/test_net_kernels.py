@@ -292,13 +292,18 @@ def test_machine_code_on_disk_is_bound_to_all_modules_that_went_into_it(tmp_path
     }.items():
         (folder / f"{name}.py").write_text(text)
 
-    def stamp() -> str:
-        source_stamp.cache_clear()
-        return source_stamp(folder / "a.py")
+    other = tmp_path / "localize" / "e.py"
+    other.parent.mkdir()
+    other.write_text("from pipelines.lightfield.c import g\n")
 
-    before = stamp()
+    def stamps() -> tuple[str, str]:
+        source_stamp.cache_clear()
+        return source_stamp(folder / "a.py", tmp_path), source_stamp(other, tmp_path)
+
+    before = stamps()
     (folder / "d.py").write_text("unrelated")
-    assert stamp() == before
+    assert stamps() == before
     with (folder / "c.py").open("a") as file:
         file.write("x = 1\n")
-    assert stamp() != before
+    for new, old in zip(stamps(), before, strict=True):
+        assert new != old

@@ -20,6 +20,8 @@ from pipelines.lightfield.kernel_compiler import KernelCompiler, StepCompiler, S
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
+# Where modules are that kernels may name.
+PACKAGES = Path(__file__).parents[1]
 # What the compiler may do to arithmetic (LLVM's fast-math flags).
 EXACT = {"contract"}
 REORDERED = {"contract", "reassoc", "nsz"}
@@ -112,14 +114,13 @@ class _DependencyCache(FunctionCache):
 
 
 @functools.cache
-def source_stamp(path: Path) -> str:
-    """Hash of a module's source code and of that of all modules of its package that it names."""
-    package = f"pipelines.{path.parent.name}."
+def source_stamp(path: Path, packages: Path = PACKAGES) -> str:
+    """Hash of a module's source code and of that of all modules of the packages that it names."""
     found, pending = {path}, [path]
     while pending:
         source = pending.pop().read_text(encoding="utf-8")
-        for name in re.findall(re.escape(package) + r"(\w+)", source):
-            module = path.with_name(f"{name}.py")
+        for package, name in re.findall(r"\bpipelines\.(\w+)\.(\w+)", source):
+            module = packages / package / f"{name}.py"
             if module not in found and module.is_file():
                 found.add(module)
                 pending.append(module)
