@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pipelines.artifacts.array_types import Float32Array, FloatArray, Int32Array, IntArray
+from pipelines.lightfield.aligned_memory import aligned
 from pipelines.lightfield.blending import (
     MOST_RANKED,
     VIEWS_PER_CORNER,
@@ -84,11 +85,11 @@ def tiling_for(width: int, height: int, view_count: int, group_count: int) -> Ti
     points = len(places[-1])
     return Tiling(
         *places,
-        np.empty(VIEWS_PER_CORNER * points, np.int32),
-        np.empty(VIEWS_PER_CORNER * points, np.float32),
-        np.empty(RANKING_SCRATCH, np.float32),
-        np.empty(RANKS * POINTS, np.int32),
-        np.empty(group_count * POINTS, np.float32),
+        aligned(VIEWS_PER_CORNER * points, np.int32),
+        aligned(VIEWS_PER_CORNER * points, np.float32),
+        aligned(RANKING_SCRATCH, np.float32),
+        aligned(RANKS * POINTS, np.int32),
+        aligned(group_count * POINTS, np.float32),
         np.arange(view_count, dtype=np.int32),
         np.empty(POINTS, np.int32),
         np.zeros((view_count, 2), np.int64),

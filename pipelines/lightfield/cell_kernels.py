@@ -17,21 +17,16 @@ from pipelines.artifacts.array_types import (
 from pipelines.lightfield.compiled import compiled_leaf, compiled_part
 from pipelines.lightfield.mapping_kernels import is_inside, locate, view_mapping
 from pipelines.lightfield.net_kernels import build_net
-from pipelines.lightfield.occlusion_kernels import SMALL_MAP, find_hidden
+from pipelines.lightfield.occlusion_kernels import leave_out_hidden
 from pipelines.lightfield.pixel_order_kernels import PixelOrder, order_by_label
 from pipelines.lightfield.reference import FRUSTUM_SAMPLES
 from pipelines.lightfield.sampling_kernels import (
     CHUNK,
-    COLUMN,
-    NEARNESS,
-    ROW,
-    SEEN,
     add_samples,
     chunk_coefficients,
     end_weights,
     load_cell,
     place_samples,
-    take_weights,
 )
 from pipelines.lightfield.texel_intrinsic import LANES
 from pipelines.lightfield.views import ViewArrays
@@ -301,24 +296,19 @@ def _blend_chunk(
             np.float32(level_size[view, level, 1] / full_height),
         )
         if here > 0:
-            if has_depth and find_hidden(
-                blocks,
-                block_start[view],
-                inverse_depth,
-                depth_start[view],
-                depth_size[view, 0],
-                depth_size[view, 1],
-                level_size[view, level, 0],
-                level_size[view, level, 1],
-                SMALL_MAP,
-                scratch,
-                COLUMN,
-                ROW,
-                NEARNESS,
-                SEEN,
-                filled,
-            ):
-                take_weights(scratch, filled)
+            if has_depth:
+                leave_out_hidden(
+                    blocks,
+                    block_start[view],
+                    inverse_depth,
+                    depth_start[view],
+                    depth_size[view, 0],
+                    depth_size[view, 1],
+                    level_size[view, level, 0],
+                    level_size[view, level, 1],
+                    scratch,
+                    filled,
+                )
             start, width = level_start[view, level], level_size[view, level, 0]
             add_samples(scratch, offsets, targets, count, texels, start, width, image)
         if elsewhere == 0:

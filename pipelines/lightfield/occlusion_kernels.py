@@ -9,10 +9,13 @@ import numpy as np
 from pipelines.artifacts.array_types import Float32Array, IntArray
 from pipelines.lightfield.blending import OCCLUSION_FACTOR
 from pipelines.lightfield.compiled import compiled_leaf, compiled_part
-from pipelines.lightfield.texel_intrinsic import LANES, find_hidden_lanes
+from pipelines.lightfield.sampling_kernels import COLUMN, LOWER, NEARNESS, ROW, UPPER
+from pipelines.lightfield.texel_intrinsic import LANES, find_hidden_lanes, set_lanes
 from pipelines.lightfield.views import BLOCK_SIDE
 
-HIDDEN = np.float32(OCCLUSION_FACTOR)
+HIDDEN, SHARE = np.float32(OCCLUSION_FACTOR), np.float32(1.0 / BLOCK_SIDE)
+ONE, ZERO = np.float32(1.0), np.float32(0.0)
+EVERY_LANE = (1 << LANES) - 1
 # Values of one depth map that the near memory holds, beside the photo.
 SMALL_MAP = 1 << 15
 
@@ -50,7 +53,7 @@ def is_occluded(
 
 
 @compiled_part
-def find_hidden(
+def leave_out_hidden(
     blocks: Float32Array,
     block_start: int,
     inverse_depth: Float32Array,
@@ -59,64 +62,105 @@ def find_hidden(
     height: int,
     full_width: int,
     full_height: int,
-    most: int,
     scratch: Float32Array,
-    column: np.uintp,
-    row: np.uintp,
-    nearness: np.uintp,
-    hidden: np.uintp,
     count: int,
-) -> bool:
-    """Finds points before which a view has something nearer.
+) -> None:
+    """Sets the weights of a chunk's points to 0 before which a view has something nearer.
 
     Args:
+        blocks: see ``hidden_lanes``, as for the next seven.
+        block_start: see there.
+        inverse_depth: see there.
+        depth_start: see there.
+        width: see there.
+        height: see there.
+        full_width: see there.
+        full_height: see there.
+        scratch: of the chunk, whose samples are placed; changed.
+        count: of the points, a multiple of ``LANES``.
+    """
+    if width == 0:
+        return
+    for number in range(0, count, LANES):
+        first = np.uintp(number)
+        lanes = hidden_lanes(
+            EVERY_LANE,
+            blocks,
+            block_start,
+            inverse_depth,
+            depth_start,
+            width,
+            height,
+            full_width,
+            full_height,
+            scratch,
+            (COLUMN + first, ROW + first, NEARNESS + first),
+        )
+        if lanes:
+            set_lanes(lanes, scratch, UPPER + first, ZERO)
+            set_lanes(lanes, scratch, LOWER + first, ZERO)
+
+
+@compiled_leaf
+def hidden_lanes(
+    lanes: int,
+    blocks: Float32Array,
+    block_start: int,
+    inverse_depth: Float32Array,
+    depth_start: int,
+    width: int,
+    height: int,
+    full_width: int,
+    full_height: int,
+    scratch: Float32Array,
+    places: tuple[np.uintp, np.uintp, np.uintp],
+) -> int:
+    """Which of ``LANES`` points a view does not show, since it has something nearer before them.
+
+    Args:
+        lanes: a bit for each point, 1 where that is asked.
         blocks: the nearest of the blocks of all depth maps; see ``ViewArrays``.
         block_start: where the view's begin.
         inverse_depth: all depth maps.
         depth_start: where the view's begins.
-        width: of it; 0: there is none.
+        width: of it, more than 0.
         height: of it.
         full_width: of the view, on the level that columns and rows are of, and
         full_height: likewise.
-        most: in depth maps of no more values than this points are looked up at once, in others
-            among the blocks first.
-        scratch: with the points and the result.
-        column: where the row with columns in the view begins, inside the image; and
-        row: the row with rows; and
-        nearness: that with the points' inverse depths in the view; and
-        hidden: that which receives 1 for points that are hidden, else 0.
-        count: of the points, a multiple of ``LANES``.
+        scratch: with the points.
+        places: where in it the points' columns, rows and inverse depths in the view begin.
 
     Returns:
-        Whether any is.
+        A bit for each point, 1 where it is hidden.
     """
-    if width == 0:
-        return False
-    table, start, side = blocks, block_start, BLOCK_SIDE
-    if width * height <= most:
-        table, start, side = inverse_depth, depth_start, 1
-    while True:
-        across, share = np.int32((width + side - 1) // side), 1.0 / side
-        scale_x, scale_y = share * width / full_width, share * height / full_height
-        last_x, last_y = share * (width - 1), share * (height - 1)
-        is_any = False
-        for number in range(0, count, LANES):
-            first = np.uintp(number)
-            is_any |= find_hidden_lanes(
-                table,
-                start,
-                across,
-                np.float32(scale_x),
-                np.float32(scale_y),
-                np.float32(last_x),
-                np.float32(last_y),
-                HIDDEN,
-                scratch,
-                column + first,
-                row + first,
-                nearness + first,
-                hidden + first,
-            )
-        if side == 1 or not is_any:
-            return is_any
-        table, start, side = inverse_depth, depth_start, 1
+    across, down = np.float32(width), np.float32(height)
+    scale_x, scale_y = across / np.float32(full_width), down / np.float32(full_height)
+    if width * height > SMALL_MAP:
+        lanes = find_hidden_lanes(
+            lanes,
+            blocks,
+            block_start,
+            np.int32((width + BLOCK_SIDE - 1) // BLOCK_SIDE),
+            SHARE * scale_x,
+            SHARE * scale_y,
+            SHARE * (across - ONE),
+            SHARE * (down - ONE),
+            HIDDEN,
+            scratch,
+            places,
+        )
+        if lanes == 0:
+            return lanes
+    return find_hidden_lanes(
+        lanes,
+        inverse_depth,
+        depth_start,
+        np.int32(width),
+        scale_x,
+        scale_y,
+        across - ONE,
+        down - ONE,
+        HIDDEN,
+        scratch,
+        places,
+    )

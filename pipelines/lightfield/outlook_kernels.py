@@ -131,11 +131,11 @@ def _set_penalties(
     vx, vy, vz = scratch[VX + point], scratch[VY + point], scratch[VZ + point]
     nearness, best = scratch[NEARNESS + point], scratch[BEST + point]
     for i in range(GROUP_VIEWS):
-        own, u, v, depth = penalty_of(
+        own, u, v, away = penalty_of(
             px, py, pz, vx, vy, vz, nearness, blocks, first + np.uintp(i), STEP
         )
         scratch[OWN + i] = own
-        scratch[COLUMN + i], scratch[ROW + i], scratch[AWAY + i] = u, v, depth
+        scratch[COLUMN + i], scratch[ROW + i], scratch[AWAY + i] = u, v, away
         scratch[LIMIT + i] = best
 
 

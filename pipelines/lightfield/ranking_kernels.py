@@ -15,8 +15,8 @@ from pipelines.lightfield.blending import (
     VIEWS_PER_CORNER,
 )
 from pipelines.lightfield.compiled import compiled_leaf, compiled_loop
-from pipelines.lightfield.occlusion_kernels import find_hidden, is_occluded
-from pipelines.lightfield.texel_intrinsic import either, lanes_within
+from pipelines.lightfield.occlusion_kernels import hidden_lanes, is_occluded
+from pipelines.lightfield.texel_intrinsic import either, lanes_within, set_lanes
 from pipelines.lightfield.view_index import VIEW_NUMBERS, ViewIndex
 from pipelines.lightfield.views import ViewArrays
 
@@ -24,17 +24,18 @@ from pipelines.lightfield.views import ViewArrays
 POINTS = 16
 # Rows of the scratch: the point, the direction from the virtual centre to it, and one over its
 # distance from there; the smallest penalties so far, the last of which is only to compare with; the
-# penalty of the view at hand; the point's column and row in it times its depth, and its depth; and
-# what penalties are compared with.
+# penalty of the view at hand; the point's column, row and inverse depth in it; and what penalties
+# are compared with.
 PX, PY, PZ, VX, VY, VZ, NEARNESS = range(0, 7 * POINTS, POINTS)
 BEST, OWN, COLUMN, ROW, AWAY, LIMIT = (POINTS * row for row in (7, 11, 12, 13, 14, 15))
 RANKING_SCRATCH = 16 * POINTS
 RANKS = VIEWS_PER_CORNER + 1
 # Before anything is ranked, inverse depths stand where penalties will.
 DEPTH = np.uintp(OWN)
-# Unsigned, as in ``sampling_kernels``: the rows of the best; and where in a view's numbers those
-# for its columns begin, those for rows, depths, its centre, size and strip.
+# Unsigned, as in ``sampling_kernels``: the place in the view; the rows of the best; and where in a
+# view's numbers those for its columns begin, those for rows, depths, its centre, size and strip.
 LANES = np.uintp(POINTS)
+SIGHT = (np.uintp(COLUMN), np.uintp(ROW), np.uintp(AWAY))
 BEST0, BEST1, BEST2, BEST3 = (np.uintp(BEST + rank * POINTS) for rank in range(RANKS))
 _1, _2, _3, _V, _DEPTH, _CENTRE, _WIDTH, _HEIGHT, _STRIP = (
     np.uintp(place) for place in (1, 2, 3, 4, 8, 12, 15, 16, 17)
@@ -168,7 +169,7 @@ def penalty_of(
         step: apart.
 
     Returns:
-        The penalty; the point's column and row in the view times its depth there; its depth.
+        The penalty; the point's column, row and inverse depth in the view.
     """
     u = numbers[first] * px + numbers[first + _1 * step] * py
     u += numbers[first + _2 * step] * pz + numbers[first + _3 * step]
@@ -188,7 +189,8 @@ def penalty_of(
     below = numbers[first + _HEIGHT * step] * depth - half - v
     margin = min(u + half, right, v + half, below)
     own += BORDER * max(strip / max(margin, MARGIN * strip) - ONE, ZERO)
-    return (own if (depth > ZERO) & (margin >= ZERO) else NEVER), u, v, depth
+    away = ONE / depth
+    return (own if (depth > ZERO) & (margin >= ZERO) else NEVER), u * away, v * away, away
 
 
 @compiled_loop
@@ -214,9 +216,9 @@ def _penalty_at(
 def _set_penalties(scratch: Float32Array, numbers: Float32Array, first: np.uintp) -> None:
     """Writes the penalty of a view, whose numbers begin there, at each point."""
     for i in range(POINTS):
-        own, u, v, depth = _penalty_at(scratch, i, numbers, first)
+        own, u, v, away = _penalty_at(scratch, i, numbers, first)
         scratch[OWN + i] = own
-        scratch[COLUMN + i], scratch[ROW + i], scratch[AWAY + i] = u, v, depth
+        scratch[COLUMN + i], scratch[ROW + i], scratch[AWAY + i] = u, v, away
 
 
 @compiled_loop
@@ -263,68 +265,45 @@ def is_hidden(scratch: Float32Array, lane: int, views: ViewArrays, view: int) ->
     """Whether a view sees something nearer than a point, see ``penalty_of``.
 
     Args:
-        scratch: (RANKING_SCRATCH,) with its column and row times its depth, and its depth,
+        scratch: (RANKING_SCRATCH,) with its column, row and inverse depth in the view,
         lane: there.
         views: the light field.
         view: which.
     """
-    own = 1.0 / np.float64(scratch[AWAY + lane])
     return is_occluded(
         views.inverse_depth,
         views.depth_start,
         views.depth_size,
         views.level_size,
         view,
-        scratch[COLUMN + lane] * own,
-        scratch[ROW + lane] * own,
-        own,
+        scratch[COLUMN + lane],
+        scratch[ROW + lane],
+        scratch[AWAY + lane],
     )
-
-
-@compiled_loop
-def _set_sights(scratch: Float32Array) -> None:
-    """Makes places in the view and inverse depths there of what ``penalty_of`` left."""
-    for i in range(np.uintp(POINTS)):
-        # Where it is none of the best, nobody needs to know whether it is hidden.
-        matters = scratch[i + np.uintp(OWN)] < scratch[i + BEST3]
-        own = ONE / scratch[i + np.uintp(AWAY)]
-        u, v = scratch[i + np.uintp(COLUMN)] * own, scratch[i + np.uintp(ROW)] * own
-        scratch[i + np.uintp(COLUMN)] = u if matters else ZERO
-        scratch[i + np.uintp(ROW)] = v if matters else ZERO
-        scratch[i + np.uintp(AWAY)] = own if matters else NEVER
-
-
-@compiled_loop
-def _take_hidden(scratch: Float32Array) -> None:
-    """Makes penalties infinite where the point is marked as hidden."""
-    for i in range(np.uintp(POINTS)):
-        own = scratch[i + np.uintp(OWN)]
-        scratch[i + np.uintp(OWN)] = NEVER if scratch[i + np.uintp(LIMIT)] > ZERO else own
 
 
 @compiled_leaf
 def _leave_out_hidden(scratch: Float32Array, views: ViewArrays, view: int) -> None:
-    """Makes the penalty infinite where the view sees something nearer than the point."""
-    _set_sights(scratch)
-    if find_hidden(
+    """Makes penalties infinite where the view is one of the best but sees something nearer."""
+    width, height = views.depth_size[view, 0], views.depth_size[view, 1]
+    if width == 0:
+        return
+    # Where it is none of the best, nobody needs to know.
+    lanes = hidden_lanes(
+        lanes_within(scratch, np.uintp(OWN), scratch, BEST3),
         views.blocks,
         views.block_start[view],
         views.inverse_depth,
         views.depth_start[view],
-        views.depth_size[view, 0],
-        views.depth_size[view, 1],
+        width,
+        height,
         views.level_size[view, 0, 0],
         views.level_size[view, 0, 1],
-        # Maps of all views are looked up in turn.
-        0,
         scratch,
-        np.uintp(COLUMN),
-        np.uintp(ROW),
-        np.uintp(AWAY),
-        np.uintp(LIMIT),
-        POINTS,
-    ):
-        _take_hidden(scratch)
+        SIGHT,
+    )
+    if lanes:
+        set_lanes(lanes, scratch, np.uintp(OWN), NEVER)
 
 
 @compiled_leaf
@@ -358,8 +337,6 @@ def rank_views(
             row = rows[number]
             view = index.order[row]
             _set_penalties(scratch, index.numbers, np.uintp(row * VIEW_NUMBERS))
-            if lanes_within(scratch, np.uintp(OWN), scratch, BEST3) == 0:
-                continue
             _leave_out_hidden(scratch, views, view)
             _insert_all(scratch, best, view)
         return

@@ -20,14 +20,14 @@ from pipelines.lightfield.texel_intrinsic import LANES, add_texels, load_lanes
 CHUNK = 128
 # Chunks are filled up to a multiple of ``LANES``, what a processor works on at once. Where the rows
 # of a chunk's scratch begin: x, y, inverse depth and the view's weight; what comes out: fraction,
-# upper and lower weight; and the place in the view's level, the point's inverse depth there,
-# and what is seen there. Unsigned: for signed indices the compiler would have to count from the
-# end, too, and could not see that they follow each other.
+# upper and lower weight; and the place in the view's level and the point's inverse depth there.
+# Unsigned: for signed indices the compiler would have to count from the end, too, and could not see
+# that they follow each other.
 ROW_LENGTH = CHUNK + LANES
-X, Y, SURFACE, WEIGHT, FRACTION, UPPER, LOWER, COLUMN, ROW, NEARNESS, SEEN = (
-    np.uintp(row * ROW_LENGTH) for row in range(11)
+X, Y, SURFACE, WEIGHT, FRACTION, UPPER, LOWER, COLUMN, ROW, NEARNESS = (
+    np.uintp(row * ROW_LENGTH) for row in range(10)
 )
-SCRATCH_SIZE = 11 * ROW_LENGTH
+SCRATCH_SIZE = 10 * ROW_LENGTH
 # Numbers that take a chunk's pixels into a view: map (9), shift (3).
 COEFFICIENTS = 12
 ZERO, HALF, ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
@@ -202,16 +202,6 @@ def place_samples(
         scratch[i + LOWER] = lower
         scratch[i + UPPER] = weight - lower
     return here, elsewhere
-
-
-@compiled_loop
-def take_weights(scratch: Float32Array, count: int) -> None:
-    """Sets the weights of a chunk's points to 0 where they are marked as hidden."""
-    for i in range(np.uintp(count)):
-        is_hidden = scratch[i + SEEN] > ZERO
-        upper, lower = scratch[i + UPPER], scratch[i + LOWER]
-        scratch[i + UPPER] = ZERO if is_hidden else upper
-        scratch[i + LOWER] = ZERO if is_hidden else lower
 
 
 @compiled_leaf

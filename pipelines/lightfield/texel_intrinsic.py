@@ -152,6 +152,7 @@ load_lanes = cast("Callable[..., None]", _load_lanes)
 @intrinsic
 def _find_hidden_lanes(
     _typing_context: Any,
+    wanted: Any,
     table: Any,
     start: Any,
     across: Any,
@@ -161,15 +162,13 @@ def _find_hidden_lanes(
     last_y: Any,
     factor: Any,
     scratch: Any,
-    column: Any,
-    row: Any,
-    nearness: Any,
-    hidden: Any,
+    places: Any,
 ) -> Any:
     """Finds which of ``LANES`` points something in a table of inverse depths hides.
 
     Args:
         _typing_context: numba's.
+        wanted: a bit for each point, 1 where it is looked up.
         table: (T,) float32.
         start: of the part of it that counts.
         across: int32, its row length.
@@ -179,15 +178,13 @@ def _find_hidden_lanes(
         last_y: its last row.
         factor: float32, by which something has to be nearer than a point.
         scratch: float32.
-        column: where in it the points' columns begin, and
-        row: their rows, and
-        nearness: their inverse depths; and
-        hidden: what receives 1 for points that are hidden, else 0.
+        places: where in it the points' columns, their rows and their inverse depths begin.
 
     Returns:
-        Whether any is.
+        A bit for each point, 1 where it is hidden.
     """
-    signature = types.boolean(
+    signature = types.int64(
+        wanted,
         table,
         start,
         across,
@@ -197,50 +194,79 @@ def _find_hidden_lanes(
         last_y,
         factor,
         scratch,
-        column,
-        row,
-        nearness,
-        hidden,
+        places,
     )
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         table, data = (
             context.make_array(signature.args[i])(context, builder, arguments[i]).data
-            for i in (0, 8)
+            for i in (1, 9)
         )
+        zero, nowhere = _constant(0.0), ir.Constant(ir.VectorType(_LANE, LANES), [0] * LANES)
+        is_wanted = _marked(builder, arguments[0])
 
         def repeated(number: int) -> Any:
             return _repeated(builder, arguments[number], LANES)
 
-        def address(number: int) -> Any:
-            pointer = builder.gep(data, [arguments[number]])
-            return builder.bitcast(pointer, _vector(LANES).as_pointer())
+        def values(number: int) -> Any:
+            pointer = builder.gep(data, [builder.extract_value(arguments[10], number)])
+            return builder.load(builder.bitcast(pointer, _vector(LANES).as_pointer()), align=4)
 
         def place(number: int, scale: Any, last: Any) -> Any:
-            value = builder.load(address(number), align=4)
+            value = values(number)
             value = builder.fmul(builder.fadd(value, _constant(0.5)), scale)
             value = builder.select(builder.fcmp_ordered("<", value, last), value, last)
-            return builder.fptosi(value, ir.VectorType(_LANE, LANES))
+            value = builder.select(builder.fcmp_ordered(">", value, zero), value, zero)
+            return builder.fptosi(value, nowhere.type)
 
-        x, y = place(9, repeated(3), repeated(5)), place(10, repeated(4), repeated(6))
-        indices = builder.add(x, builder.mul(y, _repeated(builder, arguments[2], LANES, _LANE)))
-        seen = _constant(ir.Undefined)
-        source = builder.gep(table, [arguments[1]])
-        for lane in range(LANES):
-            number = ir.Constant(_LANE, lane)
-            index = builder.sext(builder.extract_element(indices, number), _INDEX)
-            value = builder.load(builder.gep(source, [index]))
-            seen = builder.insert_element(seen, value, number)
-        own = builder.fmul(builder.load(address(11), align=4), repeated(7))
-        hides = builder.fcmp_ordered(">", seen, own)
-        builder.store(builder.select(hides, _constant(1.0), _constant(0.0)), address(12), align=4)
-        together = builder.bitcast(hides, ir.IntType(LANES))
-        return builder.icmp_unsigned("!=", together, ir.Constant(ir.IntType(LANES), 0))
+        x, y = place(0, repeated(4), repeated(6)), place(1, repeated(5), repeated(7))
+        indices = builder.add(x, builder.mul(y, _repeated(builder, arguments[3], LANES, _LANE)))
+        # What nobody asks for is looked up where it costs nothing.
+        indices = builder.select(is_wanted, indices, nowhere)
+        seen = _gathered(builder, builder.gep(table, [arguments[2]]), indices)
+        own = builder.fmul(values(2), repeated(8))
+        hides = builder.and_(is_wanted, builder.fcmp_ordered(">", seen, own))
+        return builder.zext(builder.bitcast(hides, ir.IntType(LANES)), _INDEX)
 
     return signature, generate
 
 
-find_hidden_lanes = cast("Callable[..., bool]", _find_hidden_lanes)
+find_hidden_lanes = cast("Callable[..., int]", _find_hidden_lanes)
+
+
+@intrinsic
+def _set_lanes(_typing_context: Any, lanes: Any, values: Any, first: Any, new: Any) -> Any:
+    """Sets some of ``LANES`` numbers.
+
+    Args:
+        _typing_context: numba's.
+        lanes: a bit for each, 1 where it is set.
+        values: (n,) float32, changed; the numbers begin at
+        first: there.
+        new: float32, what they become.
+    """
+    signature = types.void(lanes, values, first, new)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = context.make_array(signature.args[1])(context, builder, arguments[1]).data
+        place = builder.gep(data, [arguments[2]])
+        pointer = builder.bitcast(place, _vector(LANES).as_pointer())
+        new = _repeated(builder, arguments[3], LANES)
+        kept = builder.load(pointer, align=4)
+        changed = builder.select(_marked(builder, arguments[0]), new, kept)
+        builder.store(changed, pointer, align=4)
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+set_lanes = cast("Callable[..., None]", _set_lanes)
+
+
+def _marked(builder: Any, lanes: Any) -> Any:
+    """A truth value for each of ``LANES`` bits."""
+    bits = builder.trunc(lanes, ir.IntType(LANES))
+    return builder.bitcast(bits, ir.VectorType(ir.IntType(1), LANES))
 
 
 def _constant(value: Any) -> Any:
@@ -309,6 +335,19 @@ first_lane = cast("Callable[[int], int]", _first_lane)
 
 def _vector(lanes: int) -> ir.VectorType:
     return ir.VectorType(_FLOAT, lanes)
+
+
+def _gathered(builder: Any, data: Any, indices: Any) -> Any:
+    """``LANES`` floats from different places, loaded in whichever way the processor does best."""
+    pointers = ir.VectorType(_FLOAT.as_pointer(), LANES)
+    place = ir.instructions.GEPInstr(builder.block, data, [indices], False, "", _FLOAT)
+    place.type = pointers
+    builder._insert(place)
+    every = ir.Constant(ir.VectorType(ir.IntType(1), LANES), [1] * LANES)
+    kind = ir.FunctionType(_vector(LANES), [pointers, _LANE, every.type, _vector(LANES)])
+    name = f"llvm.masked.gather.v{LANES}f32.v{LANES}p0"
+    gather = builder.module.globals.get(name) or ir.Function(builder.module, kind, name)
+    return builder.call(gather, [place, ir.Constant(_LANE, 4), every, _constant(0.0)])
 
 
 def _two_texels(builder: Any, data: Any, index: Any) -> Any:
