@@ -1,5 +1,7 @@
 """Samples of depth maps that are kept: the same as fresh ones, and not too many."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from pipelines.lightfield import sample_store
 from pipelines.lightfield.proxy import Quality
 from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.sample_store import SampleStore
-from pipelines.lightfield.splat_kernels import DepthSamples, depth_samples
+from pipelines.lightfield.splat_kernels import TOGETHER, DepthSamples, depth_samples
 from pipelines.lightfield.views import Views, build_views
 from tests.lightfield_samples import WALL, looking, noise_views, pinhole
 
@@ -42,9 +44,8 @@ def marked(*views: int) -> BoolArray:
 
 def of_view(samples: DepthSamples, view: int) -> FloatArray:
     """``(n, 3)`` columns and rows from the middle, inverse depths; in one order, each once."""
-    part = slice(samples.starts[view], samples.ends[view])
-    rows = [own[part] for own in (samples.columns, samples.rows, samples.inverse_depth)]
-    return np.unique(np.stack(rows, axis=-1), axis=0)
+    batches = samples.values.reshape(-1, 3, TOGETHER)[samples.starts[view] : samples.ends[view]]
+    return np.unique(batches.transpose(0, 2, 1).reshape(-1, 3), axis=0)
 
 
 @pytest.mark.parametrize("view", range(6))
@@ -84,13 +85,13 @@ def test_views_are_added_to_what_is_kept() -> None:
 
 
 def test_no_more_is_kept_than_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    size = len(depth_samples(VIEWS.arrays, marked(1), FOCAL, SPACING).columns)
-    monkeypatch.setattr(sample_store, "MOST_SAMPLES", size)
+    size = len(depth_samples(VIEWS.arrays, marked(1), FOCAL, SPACING).values)
+    monkeypatch.setattr(sample_store, "MOST_NUMBERS", size)
     store = SampleStore(VIEWS.arrays)
     first = store(marked(1), FOCAL, SPACING)
     assert store(marked(1), FOCAL, SPACING) is first
     large = store(marked(3, 4, 5), FOCAL, SPACING)
-    assert len(large.columns) > size
+    assert len(large.values) > size
     assert store(marked(1), FOCAL, SPACING) is first
     for spacing in range(10, 20):
         store(marked(1), FOCAL, float(spacing))
@@ -105,3 +106,36 @@ def test_costs_do_not_depend_on_what_was_asked_before() -> None:
         alone = Renderer(VIEWS, WALL, quality=Quality.MEDIUM, threads=1)
         np.testing.assert_array_equal(alone.render_many(pose[None], CAMERA)[0][0], image)
         np.testing.assert_array_equal(renderer.render_many(pose[None], CAMERA)[0][0], image)
+
+
+def test_batches_that_are_passed_over_would_have_changed_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Narrow views of parts of what the depth maps show, some from before it and from behind."""
+    generator = np.random.default_rng(1)
+    poses = []
+    for _ in range(40):
+        place = generator.uniform([-2.5, -4.0, 0.0], [2.5, 0.5, 2.0])
+        target = generator.uniform([-1.5, 0.0, 0.3], [1.5, 0.3, 1.7])
+        poses.append(looking(place, target, generator.uniform(-3.0, 3.0)))
+    camera = pinhole(120, 90, 260.0)
+    renderer, counts = Renderer(VIEWS, WALL, quality=Quality.MEDIUM, threads=1), []
+    usual = [renderer.render_with_surface(pose, camera) for pose in poses]
+
+    def unbounded(*arguments: Any) -> DepthSamples:
+        samples = depth_samples(*arguments)
+        boxes = samples.boxes.reshape(6, -1)
+        boxes[3:] = 1e4
+        counts.append(boxes.shape[1])
+        return samples
+
+    monkeypatch.setattr(sample_store, "depth_samples", unbounded)
+    whole = Renderer(VIEWS, WALL, quality=Quality.MEDIUM, threads=1)
+    covered = 0.0
+    for pose, result in zip(poses, usual, strict=True):
+        expected = whole.render_with_surface(pose, camera)
+        np.testing.assert_array_equal(result.inverse_depth, expected.inverse_depth)
+        np.testing.assert_array_equal(result.rgba, expected.rgba)
+        covered += float(expected.covered.mean()) / len(poses)
+    assert covered > 0.3
+    assert max(counts) > 60

@@ -140,7 +140,7 @@ def _depth_surface(
             matrix,
             spacing,
             room.numbers,
-            room.elsewhere,
+            room.nothing,
             room.scratch,
             room.cells,
             corners,

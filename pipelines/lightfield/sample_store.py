@@ -4,8 +4,8 @@ from pipelines.artifacts.array_types import BoolArray
 from pipelines.lightfield.splat_kernels import DepthSamples, depth_samples
 from pipelines.lightfield.views import ViewArrays
 
-# So many samples are kept at most, of so many kinds: some tens of megabytes.
-MOST_SAMPLES, MOST_KINDS = 1 << 20, 4
+# So many numbers are kept at most, three a sample, of so many kinds: some tens of megabytes.
+MOST_NUMBERS, MOST_KINDS = 3 << 20, 4
 
 
 class SampleStore:
@@ -36,9 +36,9 @@ class SampleStore:
             return kept
         wanted = is_source if kept is None else is_source | kept.is_source
         samples = depth_samples(self._views, wanted, focal, spacing)
-        if len(samples.columns) > MOST_SAMPLES and kept is not None:
+        if len(samples.values) > MOST_NUMBERS and kept is not None:
             samples = depth_samples(self._views, is_source, focal, spacing)
-        if len(samples.columns) <= MOST_SAMPLES:
+        if len(samples.values) <= MOST_NUMBERS:
             self._kept[kind] = samples
             for oldest in list(self._kept)[:-MOST_KINDS]:
                 self._kept.pop(oldest, None)

@@ -15,13 +15,14 @@ from pipelines.lightfield.aligned_memory import aligned
 from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_loop
 from pipelines.lightfield.proxy import PIXEL_PARTS, sample_steps
 from pipelines.lightfield.record_type import compiled_record
+from pipelines.lightfield.texel_intrinsic import LANES, first_lane, lanes_within
 from pipelines.lightfield.views import ViewArrays
 
-# Samples that are worked on together; always so many, so that none are left over. They are taken
-# from strips of so many rows.
-TOGETHER, STRIP = 128, 12
+# Samples in a batch; always so many, so that none are left over. They are taken from strips of so
+# many rows.
+TOGETHER, STRIP = 64, 12
 # Neighbours stand so far apart in a batch, an odd number, so that all places are taken.
-APART = 29
+APART = 51
 # Behind the mesh, what lies outside goes to so many places by turns: numbers that are written to
 # one place, one after the other, wait for each other.
 ELSEWHERE = 16
@@ -31,36 +32,35 @@ MARGIN = np.float32(0.01)
 NUMBERS = 28
 # Points nearer to the camera's plane than this share of their recorded depth are left out.
 SMALLEST_DEPTH = np.float32(1e-9)
-HALF, ONE, ZERO = np.float32(0.5), np.float32(1.0), np.float32(0.0)
+HALF, ONE, TWO, ZERO = np.float32(0.5), np.float32(1.0), np.float32(2.0), np.float32(0.0)
+# Unsigned, as in ``sampling_kernels``: where rows and inverse depths of a batch begin.
+_ROW, _DEPTH = np.uintp(TOGETHER), np.uintp(2 * TOGETHER)
 
 
 @compiled_record
 class DepthSamples(NamedTuple):
-    """What is projected of the depth maps, for one size of the mesh's cells: up to S samples.
+    """What is projected of the depth maps, for one size of the mesh's cells: up to B batches.
 
-    They stand in batches of ``TOGETHER`` that lie near each other; neighbours do not follow each
+    Batches are of ``TOGETHER`` samples that lie near each other; neighbours do not follow each
     other, since what is written to one place, one after the other, waits. A view's last sample
     fills up its last batch.
 
     Attributes:
         is_source: ``(N,)`` which views' depth maps are sampled.
         steps: ``(N,)`` from one of their pixels to the next, ``PIXEL_PARTS`` of which are one.
-        starts: ``(N,)`` where each view's samples begin, at the beginning of a batch, and
-        ends: ``(N,)`` where they end.
-        columns: ``(S,)`` in the depth map, from its middle, and
-        rows: likewise, and
-        inverse_depth: likewise, positive.
-        boxes: ``(S / TOGETHER, 6)`` around batches: the middle of columns, rows and inverse depths,
-            and how far these go from there.
+        starts: ``(N,)`` each view's first batch, and
+        ends: ``(N,)`` the one behind its last.
+        values: ``(3 * TOGETHER * B,)`` of each batch columns in the depth map, from its middle;
+            then rows, likewise; then inverse depths, positive.
+        boxes: ``(6 * (B + LANES),)`` around batches: the middles of columns, of rows and of inverse
+            depths, of one batch after the other, and how far these go from there.
     """
 
     is_source: BoolArray
     steps: IntArray
     starts: IntArray
     ends: IntArray
-    columns: Float32Array
-    rows: Float32Array
-    inverse_depth: Float32Array
+    values: Float32Array
     boxes: Float32Array
 
 
@@ -78,17 +78,14 @@ def depth_samples(
     width, height = views.depth_size[:, 0], views.depth_size[:, 1]
     steps = sample_steps(views, focal, spacing)
     columns, rows = (-(-PIXEL_PARTS * size // steps) for size in (width, height))
-    batches = -(-columns * rows // TOGETHER)
-    most, count = int(batches[is_source].sum()) * TOGETHER, len(width)
+    most, count = int((-(-columns * rows // TOGETHER))[is_source].sum()), len(width)
     samples = DepthSamples(
         is_source,
         steps,
         np.empty(count, np.int64),
         np.empty(count, np.int64),
-        aligned(most, np.float32),
-        aligned(most, np.float32),
-        aligned(most, np.float32),
-        np.empty((most // TOGETHER, 6), np.float32),
+        aligned(3 * TOGETHER * most, np.float32),
+        np.zeros(6 * (most + LANES), np.float32),
     )
     _fill(views, samples)
     return samples
@@ -97,10 +94,9 @@ def depth_samples(
 @compiled
 def _fill(views: ViewArrays, samples: DepthSamples) -> None:
     """Takes the samples of the views that are sources."""
-    columns, rows, inverse_depth = samples.columns, samples.rows, samples.inverse_depth
     found = 0
     for view in range(len(samples.is_source)):
-        samples.starts[view] = found
+        samples.starts[view] = found // TOGETHER
         if samples.is_source[view]:
             width, height = views.depth_size[view, 0], views.depth_size[view, 1]
             start, step = views.depth_start[view], samples.steps[view]
@@ -112,37 +108,38 @@ def _fill(views: ViewArrays, samples: DepthSamples) -> None:
                         column, row = x // PIXEL_PARTS, y // PIXEL_PARTS
                         value = views.inverse_depth[start + row * width + column]
                         if value > ZERO:
-                            place = _place_in_batch(found)
-                            columns[place] = column + 0.5 - 0.5 * width
-                            rows[place] = row + 0.5 - 0.5 * height
-                            inverse_depth[place] = value
+                            place = _place_of(found)
+                            samples.values[place] = column + 0.5 - 0.5 * width
+                            samples.values[place + TOGETHER] = row + 0.5 - 0.5 * height
+                            samples.values[place + 2 * TOGETHER] = value
                             found += 1
         while found % TOGETHER > 0:
-            place, last = _place_in_batch(found), _place_in_batch(found - 1)
-            columns[place], rows[place] = columns[last], rows[last]
-            inverse_depth[place] = inverse_depth[last]
+            place, last = _place_of(found), _place_of(found - 1)
+            for axis in range(0, 3 * TOGETHER, TOGETHER):
+                samples.values[place + axis] = samples.values[last + axis]
             found += 1
-        samples.ends[view] = found
-        for first in range(samples.starts[view], found, TOGETHER):
-            batch = first // TOGETHER
-            _set_box(columns, first, samples.boxes, batch, 0)
-            _set_box(rows, first, samples.boxes, batch, 1)
-            _set_box(inverse_depth, first, samples.boxes, batch, 2)
+        samples.ends[view] = found // TOGETHER
+        for batch in range(samples.starts[view], samples.ends[view]):
+            _set_box(samples.values, samples.boxes, batch)
 
 
 @compiled_leaf
-def _place_in_batch(number: int) -> int:
-    return number // TOGETHER * TOGETHER + number * APART % TOGETHER
+def _place_of(number: int) -> int:
+    """Where the column of a sample stands."""
+    return number // TOGETHER * (3 * TOGETHER) + number * APART % TOGETHER
 
 
 @compiled_leaf
-def _set_box(values: Float32Array, first: int, boxes: Float32Array, batch: int, axis: int) -> None:
+def _set_box(values: Float32Array, boxes: Float32Array, batch: int) -> None:
     """Writes the middle of a batch's values and how far they go from there."""
-    low, high = values[first], values[first]
-    for i in range(first + 1, first + TOGETHER):
-        low, high = min(low, values[i]), max(high, values[i])
-    boxes[batch, axis] = HALF * (low + high)
-    boxes[batch, 3 + axis] = HALF * (high - low)
+    step = len(boxes) // 6
+    for axis in range(3):
+        first = (3 * batch + axis) * TOGETHER
+        low, high = values[first], values[first]
+        for i in range(first + 1, first + TOGETHER):
+            low, high = min(low, values[i]), max(high, values[i])
+        boxes[axis * step + batch] = HALF * (low + high)
+        boxes[(3 + axis) * step + batch] = HALF * (high - low)
 
 
 @compiled_leaf
@@ -163,17 +160,33 @@ def _set_borders(numbers: Float32Array, width: int, height: int) -> None:
             numbers[16 + 8 * axis + i] = (np.float32(size) - HALF + MARGIN) * depth - along
 
 
-@compiled_leaf
-def _is_outside(boxes: Float32Array, batch: int, numbers: Float32Array) -> bool:
-    """Whether a batch lies outside of the mesh, beyond one of its borders."""
-    for border in range(12, NUMBERS, 4):
-        highest = np.float64(numbers[border + 2])
-        for axis in range(3):
-            factor = numbers[border + axis] if axis < 2 else numbers[border + 3]
-            highest += factor * boxes[batch, axis] + abs(factor) * boxes[batch, 3 + axis]
-        if highest < 0.0:
-            return True
-    return False
+@compiled_loop
+def _set_reach(
+    boxes: Float32Array, first: np.uintp, numbers: Float32Array, reach: Float32Array
+) -> None:
+    """Writes how far ``LANES`` batches reach into the mesh: less than 0, they lie outside.
+
+    Args:
+        boxes: see ``DepthSamples``.
+        first: of the batches.
+        numbers: with the borders set.
+        reach: (LANES,) receives the result.
+    """
+    step = np.uintp(len(boxes) // 6)
+    for i in range(np.uintp(LANES)):
+        place = first + i
+        column, row, depth = boxes[place], boxes[place + step], boxes[place + step + step]
+        place += step + step + step
+        beside, below, behind = boxes[place], boxes[place + step], boxes[place + step + step]
+        # Beyond which border it lies most: the place in it that lies beyond each of them least.
+        lowest = np.float32(np.inf)
+        for border in range(12, NUMBERS, 4):
+            a, b = numbers[border], numbers[border + 1]
+            c, d = numbers[border + 2], numbers[border + 3]
+            highest = a * column + b * row + c + d * depth
+            highest += abs(a) * beside + abs(b) * below + abs(d) * behind
+            lowest = min(lowest, highest)
+        reach[i] = lowest
 
 
 @compiled_leaf
@@ -184,7 +197,7 @@ def splat(
     matrix: FloatArray,
     spacing: float,
     numbers: Float32Array,
-    elsewhere: Float32Array,
+    nothing: Float32Array,
     scratch: Float32Array,
     cells: Int32Array,
     corners: Float32Array,
@@ -200,9 +213,9 @@ def splat(
         matrix: (3, 4) world points to homogeneous virtual pixels.
         spacing: of the mesh's corners, virtual pixels.
         numbers: (NUMBERS,) overwritten.
-        elsewhere: (TOGETHER,) places behind the mesh, by turns.
-        scratch: (TOGETHER,) overwritten.
-        cells: (TOGETHER,) int32, overwritten.
+        nothing: (LANES,) zeros.
+        scratch: (LANES * TOGETHER,) overwritten.
+        cells: (LANES * TOGETHER,) int32, overwritten.
         corners: ((height + 2) * (width + 2) + ELSEWHERE,) inverse depths at the mesh's corners with
             a border, and what lies outside; changed.
         height: rows of the mesh.
@@ -227,63 +240,57 @@ def splat(
         numbers[4 * i], numbers[4 * i + 1] = a * scale_x, b * scale_y
         numbers[4 * i + 2], numbers[4 * i + 3] = a * middle_x + b * middle_y + c, shift
     _set_borders(numbers, width, height)
-    for first in range(samples.starts[view], samples.ends[view], TOGETHER):
-        if _is_outside(samples.boxes, first // TOGETHER, numbers):
-            continue
-        _place(
-            samples.columns,
-            samples.rows,
-            samples.inverse_depth,
-            np.uintp(first),
-            numbers,
-            height,
-            width,
-            elsewhere,
-            scratch,
-            cells,
-        )
-        for i in range(np.uintp(TOGETHER)):
+    for first in range(samples.starts[view], samples.ends[view], LANES):
+        _set_reach(samples.boxes, np.uintp(first), numbers, scratch)
+        inside = lanes_within(nothing, np.uintp(0), scratch, np.uintp(0))
+        inside &= (1 << min(samples.ends[view] - first, LANES)) - 1
+        # First all of them are placed, then all are written: placing need not wait for that.
+        count = np.uintp(0)
+        while inside:
+            batch = first + first_lane(inside)
+            inside &= inside - 1
+            place = np.uintp(3 * TOGETHER * batch)
+            _place(samples.values, place, numbers, height, width, scratch, cells, count)
+            count += np.uintp(TOGETHER)
+        for i in range(count):
             cell = np.uintp(cells[i])
             corners[cell] = max(corners[cell], scratch[i])
 
 
 @compiled_loop
 def _place(
-    sample_columns: Float32Array,
-    sample_rows: Float32Array,
-    inverse_depth: Float32Array,
+    values: Float32Array,
     first: np.uintp,
     numbers: Float32Array,
     height: int,
     width: int,
-    elsewhere: Float32Array,
     scratch: Float32Array,
     cells: Int32Array,
+    target: np.uintp,
 ) -> None:
-    """In which cells samples lie, and how near they are to the virtual camera.
+    """In which cells a batch of samples lies, and how near they are to the virtual camera.
 
     From the middle of a depth map the numbers are small, and single precision is enough for them.
 
     Args:
-        sample_columns: see ``DepthSamples``, and
-        sample_rows: likewise, and
-        inverse_depth: likewise.
-        first: of the samples.
+        values: see ``DepthSamples``; those of the batch begin at
+        first: there.
         numbers: three rows of turn and shift: a pixel p of the depth map, from its middle, at
             inverse depth d is at turn p + shift d.
         height: rows of the mesh.
         width: of the mesh.
-        elsewhere: (TOGETHER,) where what lies outside goes.
         scratch: receives inverse depths in the virtual image.
         cells: receives the corners' indices; behind the mesh for what lies outside.
+        target: where in these two the batch's begin.
     """
     t0, t1, t2, s0 = numbers[0], numbers[1], numbers[2], numbers[3]
     t3, t4, t5, s1 = numbers[4], numbers[5], numbers[6], numbers[7]
     t6, t7, t8, s2 = numbers[8], numbers[9], numbers[10], numbers[11]
     right, bottom = np.float32(width), np.float32(height)
     row_length, start = np.float32(width + 2), np.float32(width + 3)
+    behind = (bottom + TWO) * row_length
     for i in range(np.uintp(TOGETHER)):
-        x, y, value = sample_columns[first + i], sample_rows[first + i], inverse_depth[first + i]
+        x, y, value = values[first + i], values[first + i + _ROW], values[first + i + _DEPTH]
         depth = t6 * x + t7 * y + t8 + value * s2
         reciprocal = ONE / depth
         u = (t0 * x + t1 * y + t2 + value * s0) * reciprocal + HALF
@@ -292,5 +299,6 @@ def _place(
         is_inside &= (u >= ZERO) & (u < right) & (v >= ZERO) & (v < bottom)
         # Whole numbers, that single precision holds; sums of two of 32 bits would take 64.
         cell = np.floor(v) * row_length + np.floor(u) + start
-        cells[i] = np.int32(cell if is_inside else elsewhere[i])
-        scratch[i] = value * reciprocal if is_inside else ZERO
+        elsewhere = behind + np.float32(i % np.uintp(ELSEWHERE))
+        cells[target + i] = np.int32(cell if is_inside else elsewhere)
+        scratch[target + i] = value * reciprocal if is_inside else ZERO

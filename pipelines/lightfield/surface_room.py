@@ -8,6 +8,7 @@ from pipelines.artifacts.array_types import Float32Array, FloatArray, Int32Array
 from pipelines.lightfield.aligned_memory import aligned
 from pipelines.lightfield.record_type import compiled_record
 from pipelines.lightfield.splat_kernels import ELSEWHERE, NUMBERS, TOGETHER
+from pipelines.lightfield.texel_intrinsic import LANES
 
 
 @compiled_record
@@ -28,9 +29,9 @@ class SurfaceRoom(NamedTuple):
         starts: ``(H + 1,)`` where rows begin.
         matrix: ``(3, 4)`` world points to homogeneous virtual pixels.
         numbers: ``(NUMBERS,)``, and
-        elsewhere: ``(TOGETHER,)``, and
-        scratch: ``(TOGETHER,)``, and
-        cells: ``(TOGETHER,)`` int32; see ``splat_kernels``.
+        nothing: ``(LANES,)``, and
+        scratch: ``(LANES * TOGETHER,)``, and
+        cells: ``(LANES * TOGETHER,)`` int32; see ``splat_kernels.splat``.
     """
 
     corners: Float32Array
@@ -44,7 +45,7 @@ class SurfaceRoom(NamedTuple):
     starts: IntArray
     matrix: FloatArray
     numbers: Float32Array
-    elsewhere: Float32Array
+    nothing: Float32Array
     scratch: Float32Array
     cells: Int32Array
 
@@ -64,8 +65,6 @@ def surface_room_for(width: int, height: int, spacing: float, wanted: Int32Array
     lefts = np.minimum(places.astype(np.int64), columns - 1)
     is_right = places - lefts >= 0.5
     behind = (rows + 2) * (columns + 2)
-    elsewhere = aligned(TOGETHER, np.float32)
-    elsewhere[:] = behind + np.arange(TOGETHER) % ELSEWHERE
     return SurfaceRoom(
         aligned(behind + ELSEWHERE, np.float32),
         np.empty((rows + 1, columns + 1), np.float32),
@@ -78,7 +77,7 @@ def surface_room_for(width: int, height: int, spacing: float, wanted: Int32Array
         np.searchsorted(wanted, np.arange(height + 1) * width),
         np.empty((3, 4)),
         np.empty(NUMBERS, np.float32),
-        elsewhere,
-        aligned(TOGETHER, np.float32),
-        aligned(TOGETHER, np.int32),
+        np.zeros(LANES, np.float32),
+        aligned(LANES * TOGETHER, np.float32),
+        aligned(LANES * TOGETHER, np.int32),
     )
