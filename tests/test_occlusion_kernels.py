@@ -12,7 +12,7 @@ from pipelines.lightfield.occlusion_kernels import (
     hidden_lanes,
     is_occluded,
 )
-from pipelines.lightfield.texel_intrinsic import LANES
+from pipelines.lightfield.vector_code import LANES
 from pipelines.lightfield.views import ViewArrays, with_depth
 from tests.lightfield_samples import looking, noise_views
 

@@ -18,6 +18,7 @@ from pipelines.lightfield.blending import (
     tile_borders,
 )
 from pipelines.lightfield.compiled import compiled_leaf
+from pipelines.lightfield.lane_intrinsics import either
 from pipelines.lightfield.outlook_kernels import look_out
 from pipelines.lightfield.ranking_kernels import (
     POINTS,
@@ -30,7 +31,6 @@ from pipelines.lightfield.ranking_kernels import (
     set_shares,
 )
 from pipelines.lightfield.record_type import compiled_record
-from pipelines.lightfield.texel_intrinsic import either
 from pipelines.lightfield.view_index import ViewIndex
 from pipelines.lightfield.views import ViewArrays
 

@@ -28,7 +28,7 @@ from pipelines.lightfield.sampling_kernels import (
     load_cell,
     place_samples,
 )
-from pipelines.lightfield.texel_intrinsic import LANES
+from pipelines.lightfield.vector_code import LANES
 from pipelines.lightfield.views import ViewArrays
 from pipelines.lightfield.workspace import END, SLOTS, LightField, Links, Workspace
 

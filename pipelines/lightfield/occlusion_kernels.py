@@ -9,8 +9,9 @@ import numpy as np
 from pipelines.artifacts.array_types import Float32Array, IntArray
 from pipelines.lightfield.blending import OCCLUSION_FACTOR
 from pipelines.lightfield.compiled import compiled_leaf, compiled_part
+from pipelines.lightfield.lane_intrinsics import find_hidden_lanes, set_lanes
 from pipelines.lightfield.sampling_kernels import COLUMN, LOWER, NEARNESS, ROW, UPPER
-from pipelines.lightfield.texel_intrinsic import LANES, find_hidden_lanes, set_lanes
+from pipelines.lightfield.vector_code import LANES
 from pipelines.lightfield.views import BLOCK_SIDE
 
 HIDDEN, SHARE = np.float32(OCCLUSION_FACTOR), np.float32(1.0 / BLOCK_SIDE)

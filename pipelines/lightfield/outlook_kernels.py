@@ -11,6 +11,7 @@ import numpy as np
 
 from pipelines.artifacts.array_types import Float32Array, Int32Array
 from pipelines.lightfield.compiled import compiled_leaf, compiled_loop
+from pipelines.lightfield.lane_intrinsics import either, first_lane, lanes_within
 from pipelines.lightfield.ranking_kernels import (
     AWAY,
     BEST,
@@ -36,7 +37,6 @@ from pipelines.lightfield.ranking_kernels import (
     is_hidden,
     penalty_of,
 )
-from pipelines.lightfield.texel_intrinsic import either, first_lane, lanes_within
 from pipelines.lightfield.view_index import GROUP_NUMBERS, GROUP_VIEWS, VIEW_NUMBERS, ViewIndex
 from pipelines.lightfield.views import ViewArrays
 

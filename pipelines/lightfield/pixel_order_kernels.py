@@ -11,7 +11,7 @@ import numpy as np
 from pipelines.artifacts.array_types import Float32Array, Int32Array, IntArray
 from pipelines.lightfield.compiled import compiled_leaf
 from pipelines.lightfield.record_type import compiled_record
-from pipelines.lightfield.texel_intrinsic import LANES
+from pipelines.lightfield.vector_code import LANES
 
 # Pixels that are passed over at once where a row's labels stay the same.
 STRIDE = 8

@@ -15,8 +15,8 @@ from pipelines.lightfield.blending import (
     VIEWS_PER_CORNER,
 )
 from pipelines.lightfield.compiled import compiled_leaf, compiled_loop
+from pipelines.lightfield.lane_intrinsics import either, lanes_within, set_lanes
 from pipelines.lightfield.occlusion_kernels import hidden_lanes, is_occluded
-from pipelines.lightfield.texel_intrinsic import either, lanes_within, set_lanes
 from pipelines.lightfield.view_index import VIEW_NUMBERS, ViewIndex
 from pipelines.lightfield.views import ViewArrays
 

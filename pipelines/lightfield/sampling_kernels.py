@@ -14,7 +14,8 @@ from pipelines.artifacts.array_types import (
     Int32Array,
 )
 from pipelines.lightfield.compiled import compiled_leaf, compiled_loop
-from pipelines.lightfield.texel_intrinsic import LANES, add_texels, load_lanes
+from pipelines.lightfield.texel_intrinsic import add_texels, load_lanes
+from pipelines.lightfield.vector_code import LANES
 
 # Pixels that are worked on together; what they need stays in the processor's nearest cache.
 CHUNK = 128

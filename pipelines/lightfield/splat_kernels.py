@@ -13,9 +13,10 @@ from pipelines.artifacts.array_types import (
 )
 from pipelines.lightfield.aligned_memory import aligned
 from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_loop
+from pipelines.lightfield.lane_intrinsics import first_lane, lanes_within
 from pipelines.lightfield.proxy import PIXEL_PARTS, sample_steps
 from pipelines.lightfield.record_type import compiled_record
-from pipelines.lightfield.texel_intrinsic import LANES, first_lane, lanes_within
+from pipelines.lightfield.vector_code import LANES
 from pipelines.lightfield.views import ViewArrays
 
 # Samples in a batch; always so many, so that none are left over. They are taken from strips of so

@@ -8,7 +8,7 @@ from pipelines.artifacts.array_types import Float32Array, FloatArray, Int32Array
 from pipelines.lightfield.aligned_memory import aligned
 from pipelines.lightfield.record_type import compiled_record
 from pipelines.lightfield.splat_kernels import ELSEWHERE, NUMBERS, TOGETHER
-from pipelines.lightfield.texel_intrinsic import LANES
+from pipelines.lightfield.vector_code import LANES
 
 
 @compiled_record
