@@ -8,7 +8,6 @@ from pipelines.lightfield.blending import OCCLUSION_FACTOR
 from pipelines.lightfield.compiled import compiled
 from pipelines.lightfield.occlusion_kernels import (
     EVERY_LANE,
-    SMALL_MAP,
     hidden_lanes,
     is_occluded,
 )
@@ -51,11 +50,6 @@ def hidden_among(
         scratch,
         (np.uintp(0), np.uintp(LANES), np.uintp(2 * LANES)),
     )
-
-
-def test_some_maps_are_looked_up_at_once_and_some_by_blocks() -> None:
-    counts = [width * height for width, height in SIZES]
-    assert min(counts) <= SMALL_MAP < max(counts)
 
 
 @pytest.mark.parametrize("view", range(len(SIZES)))

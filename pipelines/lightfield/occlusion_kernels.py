@@ -17,8 +17,6 @@ from pipelines.lightfield.views import BLOCK_SIDE
 HIDDEN, SHARE = np.float32(OCCLUSION_FACTOR), np.float32(1.0 / BLOCK_SIDE)
 ONE, ZERO = np.float32(1.0), np.float32(0.0)
 EVERY_LANE = (1 << LANES) - 1
-# Values of one depth map that the near memory holds, beside the photo.
-SMALL_MAP = 1 << 15
 
 
 @compiled_leaf
@@ -136,22 +134,21 @@ def hidden_lanes(
     """
     across, down = np.float32(width), np.float32(height)
     scale_x, scale_y = across / np.float32(full_width), down / np.float32(full_height)
-    if width * height > SMALL_MAP:
-        lanes = find_hidden_lanes(
-            lanes,
-            blocks,
-            block_start,
-            np.int32((width + BLOCK_SIDE - 1) // BLOCK_SIDE),
-            SHARE * scale_x,
-            SHARE * scale_y,
-            SHARE * (across - ONE),
-            SHARE * (down - ONE),
-            HIDDEN,
-            scratch,
-            places,
-        )
-        if lanes == 0:
-            return lanes
+    lanes = find_hidden_lanes(
+        lanes,
+        blocks,
+        block_start,
+        np.int32((width + BLOCK_SIDE - 1) // BLOCK_SIDE),
+        SHARE * scale_x,
+        SHARE * scale_y,
+        SHARE * (across - ONE),
+        SHARE * (down - ONE),
+        HIDDEN,
+        scratch,
+        places,
+    )
+    if lanes == 0:
+        return lanes
     return find_hidden_lanes(
         lanes,
         inverse_depth,
