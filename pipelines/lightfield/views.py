@@ -20,8 +20,8 @@ from pipelines.lightfield.record_type import compiled_record
 from pipelines.lightfield.scene import Scene
 
 SMALLEST_LEVEL_SIDE = 8
-# Side of the blocks of which a depth map's nearest values are kept; a power of 2, so that a share of
-# a place rounds as the place does.
+# Side of the blocks of which a depth map's nearest values are kept; a power of 2, so that a place
+# among them rounds as one in the map does.
 BLOCK_SIDE = 4
 
 
