@@ -37,19 +37,8 @@ def hidden_among(
     lanes: int, views: ViewArrays, view: int, scratch: Float32Array, level: int, result: IntArray
 ) -> None:
     """Calls ``hidden_lanes`` with the points of the scratch."""
-    result[0] = hidden_lanes(
-        lanes,
-        views.blocks,
-        views.block_start[view],
-        views.inverse_depth,
-        views.depth_start[view],
-        views.depth_size[view, 0],
-        views.depth_size[view, 1],
-        views.level_size[view, level, 0],
-        views.level_size[view, level, 1],
-        scratch,
-        (np.uintp(0), np.uintp(LANES), np.uintp(2 * LANES)),
-    )
+    places = (np.uintp(0), np.uintp(LANES), np.uintp(2 * LANES))
+    result[0] = hidden_lanes(lanes, views, view, level, scratch, places)
 
 
 @pytest.mark.parametrize("view", range(len(SIZES)))
@@ -67,16 +56,8 @@ def test_lanes_are_hidden_where_the_map_has_something_nearer(view: int, seed: in
         result = np.zeros(1, np.int64)
         hidden_among(wanted, views, view, np.concatenate([column, row, own]), 0, result)
         for lane in range(LANES):
-            expected = is_occluded(
-                views.inverse_depth,
-                views.depth_start,
-                views.depth_size,
-                views.level_size,
-                view,
-                float(column[lane]),
-                float(row[lane]),
-                float(own[lane]),
-            )
+            place = float(column[lane]), float(row[lane])
+            expected = is_occluded(views, view, *place, float(own[lane]))
             is_wanted = bool(wanted >> lane & 1)
             assert bool(result[0] >> lane & 1) == (is_wanted and expected)
             shown += is_wanted and not expected

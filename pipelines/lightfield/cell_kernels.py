@@ -7,11 +7,8 @@ by cell, so that everything that is the same for a cell is computed once.
 import numpy as np
 
 from pipelines.artifacts.array_types import (
-    BoolArray,
     Float32Array,
     FloatArray,
-    ImageArray,
-    Int32Array,
     IntArray,
 )
 from pipelines.lightfield.compiled import compiled_leaf, compiled_part
@@ -203,24 +200,8 @@ def blend_cells(
                 has_depth,
                 pose,
                 focal,
-                field.views.projection,
-                field.views.focal,
-                field.views.texels,
-                field.views.level_start,
-                field.views.level_size,
-                field.views.inverse_depth,
-                field.views.depth_start,
-                field.views.depth_size,
-                field.views.blocks,
-                field.views.block_start,
-                space.rays,
-                space.maps,
-                space.shifts,
-                space.is_mapped,
-                space.scratch,
-                space.targets,
-                space.offsets,
-                space.coefficients,
+                field.views,
+                space,
                 image,
             )
 
@@ -235,24 +216,8 @@ def _blend_chunk(
     has_depth: bool,
     pose: FloatArray,
     focal: float,
-    projection: FloatArray,
-    focals: FloatArray,
-    texels: ImageArray,
-    level_start: IntArray,
-    level_size: IntArray,
-    inverse_depth: Float32Array,
-    depth_start: IntArray,
-    depth_size: IntArray,
-    blocks: Float32Array,
-    block_start: IntArray,
-    rays: FloatArray,
-    maps: FloatArray,
-    shifts: FloatArray,
-    is_mapped: BoolArray,
-    scratch: Float32Array,
-    targets: Int32Array,
-    offsets: Int32Array,
-    coefficients: Float32Array,
+    views: ViewArrays,
+    space: Workspace,
     image: Float32Array,
 ) -> None:
     """``blend_cells`` for one view and a chunk of pixels.
@@ -263,16 +228,18 @@ def _blend_chunk(
         x: column of the first, and
         y: its row, and
         nearness: its inverse depth.
-        has_depth: see ``blend_cells``; all else is of the light field and of the workspace.
+        has_depth: see ``blend_cells``, as for all else.
     """
+    scratch, offsets, coefficients = space.scratch, space.offsets, space.coefficients
     filled = (count + LANES - 1) // LANES * LANES
     end_weights(scratch, np.uintp(count))
-    if not is_mapped[view]:
-        view_mapping(projection, view, pose, rays, maps, shifts)
-        is_mapped[view] = True
-    chunk_coefficients(maps, shifts, view, x, y, coefficients)
+    if not space.is_mapped[view]:
+        view_mapping(views.projection, view, pose, space.rays, space.maps, space.shifts)
+        space.is_mapped[view] = True
+    chunk_coefficients(space.maps, space.shifts, view, x, y, coefficients)
+    level_size = views.level_size
     levels = level_size.shape[1]
-    ratio = focals[view] / focal
+    ratio = views.focal[view] / focal
     full_width, full_height = level_size[view, 0, 0], level_size[view, 0, 1]
     # Most chunks need one level, that of their first pixel; others are gone through.
     middle = coefficients[8] + coefficients[11] * nearness
@@ -297,19 +264,8 @@ def _blend_chunk(
         )
         if here > 0:
             if has_depth:
-                leave_out_hidden(
-                    blocks,
-                    block_start[view],
-                    inverse_depth,
-                    depth_start[view],
-                    depth_size[view, 0],
-                    depth_size[view, 1],
-                    level_size[view, level, 0],
-                    level_size[view, level, 1],
-                    scratch,
-                    filled,
-                )
-            start, width = level_start[view, level], level_size[view, level, 0]
-            add_samples(scratch, offsets, targets, count, texels, start, width, image)
+                leave_out_hidden(views, view, level, scratch, filled)
+            start, width = views.level_start[view, level], level_size[view, level, 0]
+            add_samples(scratch, offsets, space.targets, count, views.texels, start, width, image)
         if elsewhere == 0:
             break

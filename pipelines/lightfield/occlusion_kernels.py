@@ -6,13 +6,13 @@ Depth maps are too large for the processor's near memory. The nearest values in 
 
 import numpy as np
 
-from pipelines.artifacts.array_types import Float32Array, IntArray
+from pipelines.artifacts.array_types import Float32Array
 from pipelines.lightfield.blending import OCCLUSION_FACTOR
 from pipelines.lightfield.compiled import compiled_leaf, compiled_part
 from pipelines.lightfield.lane_intrinsics import find_hidden_lanes, set_lanes
 from pipelines.lightfield.sampling_kernels import COLUMN, LOWER, NEARNESS, ROW, UPPER
 from pipelines.lightfield.vector_code import LANES
-from pipelines.lightfield.views import BLOCK_SIDE
+from pipelines.lightfield.views import BLOCK_SIDE, ViewArrays
 
 HIDDEN, SHARE = np.float32(OCCLUSION_FACTOR), np.float32(1.0 / BLOCK_SIDE)
 ONE, ZERO = np.float32(1.0), np.float32(0.0)
@@ -20,81 +20,42 @@ EVERY_LANE = (1 << LANES) - 1
 
 
 @compiled_leaf
-def is_occluded(
-    inverse_depth: Float32Array,
-    depth_start: IntArray,
-    depth_size: IntArray,
-    level_size: IntArray,
-    view: int,
-    u: float,
-    v: float,
-    own: float,
-) -> bool:
+def is_occluded(views: ViewArrays, view: int, u: float, v: float, own: float) -> bool:
     """Whether a view sees something nearer in the direction of a surface point.
 
     Args:
-        inverse_depth: depth maps of all views; see ``ViewArrays``, as for the next three.
-        depth_start: where each begins.
-        depth_size: width and height of each.
-        level_size: of the photos.
+        views: the light field.
         view: which.
         u: column of the point in the view's finest level, inside the image.
         v: its row.
         own: the point's inverse depth in the view.
     """
-    width, height = depth_size[view, 0], depth_size[view, 1]
+    width, height = views.depth_size[view, 0], views.depth_size[view, 1]
     if width == 0:
         return False
-    column = min(int((u + 0.5) * (width / level_size[view, 0, 0])), width - 1)
-    row = min(int((v + 0.5) * (height / level_size[view, 0, 1])), height - 1)
-    seen = np.float64(inverse_depth[depth_start[view] + row * width + column])
+    column = min(int((u + 0.5) * (width / views.level_size[view, 0, 0])), width - 1)
+    row = min(int((v + 0.5) * (height / views.level_size[view, 0, 1])), height - 1)
+    seen = np.float64(views.inverse_depth[views.depth_start[view] + row * width + column])
     return bool(seen > OCCLUSION_FACTOR * own)
 
 
 @compiled_part
 def leave_out_hidden(
-    blocks: Float32Array,
-    block_start: int,
-    inverse_depth: Float32Array,
-    depth_start: int,
-    width: int,
-    height: int,
-    full_width: int,
-    full_height: int,
-    scratch: Float32Array,
-    count: int,
+    views: ViewArrays, view: int, level: int, scratch: Float32Array, count: int
 ) -> None:
     """Sets the weights of a chunk's points to 0 before which a view has something nearer.
 
     Args:
-        blocks: see ``hidden_lanes``, as for the next seven.
-        block_start: see there.
-        inverse_depth: see there.
-        depth_start: see there.
-        width: see there.
-        height: see there.
-        full_width: see there.
-        full_height: see there.
-        scratch: of the chunk, whose samples are placed; changed.
+        views: the light field.
+        view: which.
+        level: the pyramid level on which the points are placed.
+        scratch: of the chunk, changed.
         count: of the points, a multiple of ``LANES``.
     """
-    if width == 0:
-        return
     for number in range(0, count, LANES):
         first = np.uintp(number)
-        lanes = hidden_lanes(
-            EVERY_LANE,
-            blocks,
-            block_start,
-            inverse_depth,
-            depth_start,
-            width,
-            height,
-            full_width,
-            full_height,
-            scratch,
-            (COLUMN + first, ROW + first, NEARNESS + first),
-        )
+        places = (COLUMN + first, ROW + first, NEARNESS + first)
+        lanes = hidden_lanes(EVERY_LANE, views, view, level, scratch, places)
         if lanes:
             set_lanes(lanes, scratch, UPPER + first, ZERO)
             set_lanes(lanes, scratch, LOWER + first, ZERO)
@@ -103,14 +64,9 @@ def leave_out_hidden(
 @compiled_leaf
 def hidden_lanes(
     lanes: int,
-    blocks: Float32Array,
-    block_start: int,
-    inverse_depth: Float32Array,
-    depth_start: int,
-    width: int,
-    height: int,
-    full_width: int,
-    full_height: int,
+    views: ViewArrays,
+    view: int,
+    level: int,
     scratch: Float32Array,
     places: tuple[np.uintp, np.uintp, np.uintp],
 ) -> int:
@@ -118,26 +74,25 @@ def hidden_lanes(
 
     Args:
         lanes: a bit for each point, 1 where that is asked.
-        blocks: the nearest of the blocks of all depth maps; see ``ViewArrays``.
-        block_start: where the view's begin.
-        inverse_depth: all depth maps.
-        depth_start: where the view's begins.
-        width: of it, more than 0.
-        height: of it.
-        full_width: of the view, on the level that columns and rows are of, and
-        full_height: likewise.
+        views: the light field.
+        view: which.
+        level: of its pyramid, that columns and rows are of.
         scratch: with the points.
         places: where in it the points' columns, rows and inverse depths in the view begin.
 
     Returns:
         A bit for each point, 1 where it is hidden.
     """
+    width, height = views.depth_size[view, 0], views.depth_size[view, 1]
+    if width == 0:
+        return 0
     across, down = np.float32(width), np.float32(height)
-    scale_x, scale_y = across / np.float32(full_width), down / np.float32(full_height)
+    scale_x = across / np.float32(views.level_size[view, level, 0])
+    scale_y = down / np.float32(views.level_size[view, level, 1])
     lanes = find_hidden_lanes(
         lanes,
-        blocks,
-        block_start,
+        views.blocks,
+        views.block_start[view],
         np.int32((width + BLOCK_SIDE - 1) // BLOCK_SIDE),
         SHARE * scale_x,
         SHARE * scale_y,
@@ -148,11 +103,11 @@ def hidden_lanes(
         places,
     )
     if lanes == 0:
-        return lanes
+        return 0
     return find_hidden_lanes(
         lanes,
-        inverse_depth,
-        depth_start,
+        views.inverse_depth,
+        views.depth_start[view],
         np.int32(width),
         scale_x,
         scale_y,

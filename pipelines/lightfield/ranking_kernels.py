@@ -270,38 +270,16 @@ def is_hidden(scratch: Float32Array, lane: int, views: ViewArrays, view: int) ->
         views: the light field.
         view: which.
     """
-    return is_occluded(
-        views.inverse_depth,
-        views.depth_start,
-        views.depth_size,
-        views.level_size,
-        view,
-        scratch[COLUMN + lane],
-        scratch[ROW + lane],
-        scratch[AWAY + lane],
-    )
+    u, v, own = scratch[COLUMN + lane], scratch[ROW + lane], scratch[AWAY + lane]
+    return is_occluded(views, view, u, v, own)
 
 
 @compiled_leaf
 def _leave_out_hidden(scratch: Float32Array, views: ViewArrays, view: int) -> None:
     """Makes penalties infinite where the view is one of the best but sees something nearer."""
-    width, height = views.depth_size[view, 0], views.depth_size[view, 1]
-    if width == 0:
-        return
     # Where it is none of the best, nobody needs to know.
-    lanes = hidden_lanes(
-        lanes_within(scratch, np.uintp(OWN), scratch, BEST3),
-        views.blocks,
-        views.block_start[view],
-        views.inverse_depth,
-        views.depth_start[view],
-        width,
-        height,
-        views.level_size[view, 0, 0],
-        views.level_size[view, 0, 1],
-        scratch,
-        SIGHT,
-    )
+    lanes = lanes_within(scratch, np.uintp(OWN), scratch, BEST3)
+    lanes = hidden_lanes(lanes, views, view, 0, scratch, SIGHT)
     if lanes:
         set_lanes(lanes, scratch, np.uintp(OWN), NEVER)
 

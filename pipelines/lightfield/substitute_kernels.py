@@ -158,16 +158,8 @@ def _nearest(
             offset[i] = views.centres[view, i] - pose[i, 3]
         project_centre(offset, pose, intrinsics, corner)
         distance = (corner[0] - x) ** 2 + (corner[1] - y) ** 2
-        if field.has_depth and is_occluded(
-            views.inverse_depth,
-            views.depth_start,
-            views.depth_size,
-            views.level_size,
-            view,
-            u,
-            v,
-            inverse_depth / depth,
-        ):
+        own = inverse_depth / depth
+        if field.has_depth and is_occluded(views, view, u, v, own):
             if distance < shortest_hidden:
                 best_hidden, shortest_hidden = view, distance
         elif distance < shortest:
