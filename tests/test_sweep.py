@@ -189,6 +189,21 @@ def test_keys_stand_for_everything_that_goes_in(swept: Swept, tmp_path: Path) ->
         (copy / name).write_bytes(original)
 
 
+def test_tables_say_which_pixels_were_compared_where_not_the_usual_ones(
+    swept: Swept, tmp_path: Path
+) -> None:
+    config = CONFIG.replace('"good"', f'"{swept.root}/good"')
+    config = config.replace('"scene.h5"', f'"{swept.root}/scene.h5"')
+    config = config.replace("[sweep]", "[sweep]\none_pixel_in = [1, 2, 5]")
+    (tmp_path / "sweep.toml").write_text(config, encoding="utf-8")
+    runs = planned_runs(read_sweep_config(tmp_path / "sweep.toml"), no_progress)
+    assert {run.setup.likelihood for run in runs} == {
+        "squared, all pixels",
+        "squared, one pixel in 2",
+        "squared",
+    }
+
+
 def test_a_damaged_result_is_made_again(
     swept: Swept, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -120,4 +120,6 @@ def _name_of(likelihood: Likelihood) -> str:
     """What tables call it: the cost, and which pixels where these are not the usual ones."""
     name = likelihood.cost.name.lower()
     step = likelihood.one_pixel_in
-    return name if step == LIKELIHOODS[name].one_pixel_in else f"{name}, one pixel in {step}"
+    if step == LIKELIHOODS[name].one_pixel_in:
+        return name
+    return f"{name}, all pixels" if step == 1 else f"{name}, one pixel in {step}"
