@@ -6,11 +6,18 @@ import numpy as np
 import pytest
 
 from pipelines.artifacts.array_types import BoolArray, FloatArray
+from pipelines.artifacts.errors import OptionError
 from pipelines.lightfield import sample_store
 from pipelines.lightfield.proxy import Quality
 from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.sample_store import SampleStore
-from pipelines.lightfield.splat_kernels import TOGETHER, DepthSamples, depth_samples
+from pipelines.lightfield.splat_kernels import (
+    ELSEWHERE,
+    TOGETHER,
+    DepthSamples,
+    depth_samples,
+)
+from pipelines.lightfield.surface_room import surface_room_for
 from pipelines.lightfield.views import Views, build_views
 from tests.lightfield_samples import WALL, looking, noise_views, pinhole
 
@@ -139,3 +146,11 @@ def test_batches_that_are_passed_over_would_have_changed_nothing(
         covered += float(expected.covered.mean()) / len(poses)
     assert covered > 0.3
     assert max(counts) > 60
+
+
+def test_a_surface_with_more_corners_than_can_be_counted_is_refused() -> None:
+    wanted = np.zeros(1, np.int32)
+    room = surface_room_for(4000, 2000, 1.0, wanted)
+    assert len(room.corners) == 4002 * 2002 + ELSEWHERE
+    with pytest.raises(OptionError, match=r"100000 x 200 corners .* coarser quality"):
+        surface_room_for(100_000, 200, 1.0, wanted)

@@ -5,10 +5,14 @@ from typing import NamedTuple
 import numpy as np
 
 from pipelines.artifacts.array_types import Float32Array, FloatArray, Int32Array, IntArray
+from pipelines.artifacts.errors import OptionError
 from pipelines.lightfield.aligned_memory import aligned
 from pipelines.lightfield.record_type import compiled_record
 from pipelines.lightfield.splat_kernels import ELSEWHERE, NUMBERS, TOGETHER
 from pipelines.lightfield.vector_code import LANES
+
+# Kernels work out which corner a point is nearest to in single precision, exact up to here.
+MOST_CORNERS = 1 << 24
 
 
 @compiled_record
@@ -58,6 +62,9 @@ def surface_room_for(width: int, height: int, spacing: float, wanted: Int32Array
         height: of them.
         spacing: of the mesh's corners, pixels.
         wanted: (P,) int32 indices of the pixels that matter, rising.
+
+    Raises:
+        OptionError: more corners than can be told apart.
     """
     rows = int(np.ceil((height - 1) / spacing)) + 1
     columns = int(np.ceil((width - 1) / spacing)) + 1
@@ -65,6 +72,11 @@ def surface_room_for(width: int, height: int, spacing: float, wanted: Int32Array
     lefts = np.minimum(places.astype(np.int64), columns - 1)
     is_right = places - lefts >= 0.5
     behind = (rows + 2) * (columns + 2)
+    if behind + ELSEWHERE > MOST_CORNERS:
+        raise OptionError(
+            f"a surface of {columns} x {rows} corners in an image of {width} x {height} pixels is "
+            "too large; choose a coarser quality, or fewer pixels"
+        )
     return SurfaceRoom(
         aligned(behind + ELSEWHERE, np.float32),
         np.empty((rows + 1, columns + 1), np.float32),
