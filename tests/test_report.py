@@ -235,9 +235,10 @@ def one_line_error(arguments: list[str]) -> str:
     """What the command prints when it fails, of which there must be one line."""
     runner = CliRunner()
     # The mapping of errors to lines belongs to the front door, not to click.
-    with runner.isolation() as (out, err, _):
+    # Before click 8.2 both streams are one.
+    with runner.isolation() as streams:
         code = run_command(command, arguments)
-        printed = err.getvalue().decode() + out.getvalue().decode()
+        printed = "".join(own.getvalue().decode() for own in filter(None, streams[:2]))
     assert code == 1
     lines = printed.strip().splitlines()
     assert len(lines) == 1, printed

@@ -7,6 +7,8 @@ z up); cameras follow OpenCV and COLMAP (x right, y down, z forward). Angles are
 counter-clockwise about z, in (-pi, pi].
 """
 
+import warnings
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
@@ -132,6 +134,9 @@ def mount_of(base_from_camera: FloatArray) -> tuple[FloatArray, FloatArray]:
     A camera that looks straight up or down has no unique roll and yaw; then yaw is 0.
     """
     turn = Rotation.from_matrix(base_from_camera[:3, :3] @ BASE_FROM_FORWARD_CAMERA.T)
-    roll, pitch, yaw = turn.as_euler("xyz", degrees=True, suppress_warnings=True).tolist()
+    with warnings.catch_warnings():
+        # That they are not unique; SciPy's own switch for it came with 1.17.
+        warnings.simplefilter("ignore", UserWarning)
+        roll, pitch, yaw = turn.as_euler("xyz", degrees=True).tolist()
     # Adding zero turns -0.0 into 0.0.
     return base_from_camera[:3, 3].copy(), np.array([roll, pitch, yaw]) + 0.0

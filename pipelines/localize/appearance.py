@@ -141,7 +141,10 @@ def states_around_views(
     Six degrees of freedom cannot be covered evenly; views are where the scene was seen from.
     """
     own = space.states(world_from_camera @ inverse(body_from_camera))
-    copies = max(1, count // len(own))
+    copies = count // len(own)
+    # Of no states at all there are no rotations before SciPy 1.16.
+    if copies < 2:
+        return own
     sigma = np.array([AROUND_POSITION] * space.positions + [AROUND_ANGLE] * space.angles)
     around = np.repeat(own, copies - 1, axis=0)
     moved = space.moved(around, sigma * rng.standard_normal(around.shape))

@@ -175,6 +175,8 @@ def _connected_labels(
     """
     places = cKDTree(states[:, : space.positions])
     pairs = places.query_pairs(position_bandwidth, output_type="ndarray")
+    if len(pairs) == 0:
+        return np.arange(len(states), dtype=np.int64)
     rotations = Rotation.from_rotvec(states[:, space.positions :])
     turn = (rotations[pairs[:, 0]].inv() * rotations[pairs[:, 1]]).magnitude()
     pairs = pairs[turn <= heading_bandwidth]

@@ -26,6 +26,8 @@ DEFAULT_MAX_FRAMES = 1000
 JPEG_QUALITY = 95
 # Share of the stated frames that may be missing at the end: the number is often an estimate.
 TOLERATED_LOSS = 0.02
+# OpenCV's level of talking at which it says nothing.
+SILENT = 0
 
 
 def extract_frames(
@@ -133,6 +135,13 @@ def _retrieved(source: Path, capture: Any, moment: _Moment) -> Any:
     return image
 
 
+def _set_log_level(level: int) -> int:
+    """Sets how much OpenCV says on stderr, and returns what it was."""
+    # OpenCV 5 has moved it.
+    setter = cv2.setLogLevel if hasattr(cv2, "setLogLevel") else cv2.utils.logging.setLogLevel
+    return int(setter(level))
+
+
 @contextmanager
 def _opened(source: Path) -> Iterator[Any]:
     """OpenCV's capture of a video file, with its talk on stderr switched off."""
@@ -140,8 +149,7 @@ def _opened(source: Path) -> Iterator[Any]:
         raise InputError(source, "is not a file" if source.exists() else "does not exist")
     # Read by OpenCV when it first uses FFmpeg, which else reports damage on stderr by itself.
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-    logging = cv2.utils.logging
-    level = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+    level = _set_log_level(SILENT)
     capture: Any = None
     try:
         # FFmpeg alone: other backends would take the name for a pattern of file names.
@@ -158,4 +166,4 @@ def _opened(source: Path) -> Iterator[Any]:
     finally:
         if capture is not None:
             capture.release()
-        logging.setLogLevel(level)
+        _set_log_level(level)
