@@ -42,11 +42,16 @@ def hidden_among(
 
 
 @pytest.mark.parametrize("view", range(len(SIZES)))
+@pytest.mark.parametrize("level", [0, 1])
 @pytest.mark.parametrize("seed", range(5))
-def test_lanes_are_hidden_where_the_map_has_something_nearer(view: int, seed: int) -> None:
+def test_lanes_are_hidden_where_the_map_has_something_nearer(
+    view: int, level: int, seed: int
+) -> None:
     generator = np.random.default_rng([seed, view])
     views = arrays_with_depth(generator)
     width, height = views.level_size[view, 0]
+    # Middles of pixels are half of one from their corners, on each level.
+    scale = (views.level_size[view, level] / views.level_size[view, 0]).astype(np.float32)
     shown, hidden = 0, 0
     for _ in range(20):
         column = generator.uniform(-0.5, width - 0.5, LANES).astype(np.float32)
@@ -54,7 +59,9 @@ def test_lanes_are_hidden_where_the_map_has_something_nearer(view: int, seed: in
         own = generator.uniform(0.2, 2.5, LANES).astype(np.float32)
         wanted = int(generator.integers(0, EVERY_LANE, endpoint=True))
         result = np.zeros(1, np.int64)
-        hidden_among(wanted, views, view, np.concatenate([column, row, own]), 0, result)
+        x, y = (column + 0.5) * scale[0] - 0.5, (row + 0.5) * scale[1] - 0.5
+        scratch = np.concatenate([x, y, own]).astype(np.float32)
+        hidden_among(wanted, views, view, scratch, level, result)
         for lane in range(LANES):
             place = float(column[lane]), float(row[lane])
             expected = is_occluded(views, view, *place, float(own[lane]))

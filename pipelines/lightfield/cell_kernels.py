@@ -6,11 +6,7 @@ by cell, so that everything that is the same for a cell is computed once.
 
 import numpy as np
 
-from pipelines.artifacts.array_types import (
-    Float32Array,
-    FloatArray,
-    IntArray,
-)
+from pipelines.artifacts.array_types import Float32Array, FloatArray, IntArray
 from pipelines.lightfield.compiled import compiled_leaf, compiled_part
 from pipelines.lightfield.mapping_kernels import is_inside, locate, view_mapping
 from pipelines.lightfield.net_kernels import build_net

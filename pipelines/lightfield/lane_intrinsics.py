@@ -17,10 +17,11 @@ from pipelines.lightfield.vector_code import (
     LANE,
     LANES,
     constant,
+    data_of,
     gathered,
+    lanes_at,
     marked,
     repeated,
-    vector,
 )
 
 
@@ -73,10 +74,7 @@ def _find_hidden_lanes(
     )
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        table, data = (
-            context.make_array(signature.args[i])(context, builder, arguments[i]).data
-            for i in (1, 9)
-        )
+        table, data = (data_of(context, builder, signature, arguments, i) for i in (1, 9))
         zero, nowhere = constant(0.0), ir.Constant(ir.VectorType(LANE, LANES), [0] * LANES)
         is_wanted = marked(builder, arguments[0])
 
@@ -84,8 +82,8 @@ def _find_hidden_lanes(
             return repeated(builder, arguments[number], LANES)
 
         def values(number: int) -> Any:
-            pointer = builder.gep(data, [builder.extract_value(arguments[10], number)])
-            return builder.load(builder.bitcast(pointer, vector(LANES).as_pointer()), align=4)
+            first = builder.extract_value(arguments[10], number)
+            return builder.load(lanes_at(builder, data, first), align=4)
 
         def place(number: int, scale: Any, last: Any) -> Any:
             value = values(number)
@@ -123,9 +121,8 @@ def _set_lanes(_typing_context: Any, lanes: Any, values: Any, first: Any, new: A
     signature = types.void(lanes, values, first, new)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        data = context.make_array(signature.args[1])(context, builder, arguments[1]).data
-        place = builder.gep(data, [arguments[2]])
-        pointer = builder.bitcast(place, vector(LANES).as_pointer())
+        data = data_of(context, builder, signature, arguments, 1)
+        pointer = lanes_at(builder, data, arguments[2])
         new = repeated(builder, arguments[3], LANES)
         kept = builder.load(pointer, align=4)
         changed = builder.select(marked(builder, arguments[0]), new, kept)
@@ -156,10 +153,8 @@ def _lanes_within(
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         lanes = []
         for number in (0, 2):
-            kind = signature.args[number]
-            data = context.make_array(kind)(context, builder, arguments[number]).data
-            place = builder.gep(data, [arguments[number + 1]])
-            pointer = builder.bitcast(place, vector(LANES).as_pointer())
+            data = data_of(context, builder, signature, arguments, number)
+            pointer = lanes_at(builder, data, arguments[number + 1])
             lanes.append(builder.load(pointer, align=4))
         found = builder.fcmp_ordered("<=", *lanes)
         return builder.zext(builder.bitcast(found, ir.IntType(LANES)), INDEX)

@@ -12,6 +12,7 @@ import numpy as np
 from pipelines.artifacts.array_types import Float32Array, Int32Array
 from pipelines.lightfield.compiled import compiled_leaf, compiled_loop
 from pipelines.lightfield.lane_intrinsics import either, first_lane, lanes_within
+from pipelines.lightfield.occlusion_kernels import is_occluded
 from pipelines.lightfield.ranking_kernels import (
     AWAY,
     BEST,
@@ -34,7 +35,6 @@ from pipelines.lightfield.ranking_kernels import (
     VZ,
     ZERO,
     deviation,
-    is_hidden,
     penalty_of,
 )
 from pipelines.lightfield.view_index import GROUP_NUMBERS, GROUP_VIEWS, VIEW_NUMBERS, ViewIndex
@@ -160,7 +160,8 @@ def _look_at_group(
         # Of equal ones the first of all stays.
         if own > before or (own == before and row > best[point]):
             continue
-        if has_depth and is_hidden(scratch, lane, views, index.order[row]):
+        u, v, away = scratch[COLUMN + lane], scratch[ROW + lane], scratch[AWAY + lane]
+        if has_depth and is_occluded(views, index.order[row], u, v, away):
             continue
         scratch[BEST + point], best[point] = own, row
 

@@ -3,11 +3,7 @@
 import numpy as np
 
 from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray, IntArray
-from pipelines.lightfield.compiled import (
-    compiled,
-    compiled_leaf,
-    compiled_loop,
-)
+from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_loop
 from pipelines.lightfield.mapping_kernels import virtual_rays
 from pipelines.lightfield.proxy import (
     EDGE_FACTOR,
@@ -17,13 +13,7 @@ from pipelines.lightfield.proxy import (
     SOURCE_VIEWS,
     TURN_COST,
 )
-from pipelines.lightfield.splat_kernels import (
-    HALF,
-    ONE,
-    ZERO,
-    DepthSamples,
-    splat,
-)
+from pipelines.lightfield.splat_kernels import HALF, ONE, ZERO, DepthSamples, splat
 from pipelines.lightfield.surface_room import SurfaceRoom
 from pipelines.lightfield.views import ViewArrays
 
@@ -140,7 +130,6 @@ def _depth_surface(
             matrix,
             spacing,
             room.numbers,
-            room.nothing,
             room.scratch,
             room.cells,
             corners,

@@ -16,7 +16,7 @@ from pipelines.lightfield.blending import (
 )
 from pipelines.lightfield.compiled import compiled_leaf, compiled_loop
 from pipelines.lightfield.lane_intrinsics import either, lanes_within, set_lanes
-from pipelines.lightfield.occlusion_kernels import hidden_lanes, is_occluded
+from pipelines.lightfield.occlusion_kernels import hidden_lanes
 from pipelines.lightfield.view_index import VIEW_NUMBERS, ViewIndex
 from pipelines.lightfield.views import ViewArrays
 
@@ -258,20 +258,6 @@ def _rank(
     for i in range(POINTS):
         own, _, _, _ = _penalty_at(scratch, i, numbers, first)
         _insert(scratch, best, i, own, view)
-
-
-@compiled_leaf
-def is_hidden(scratch: Float32Array, lane: int, views: ViewArrays, view: int) -> bool:
-    """Whether a view sees something nearer than a point, see ``penalty_of``.
-
-    Args:
-        scratch: (RANKING_SCRATCH,) with its column, row and inverse depth in the view,
-        lane: there.
-        views: the light field.
-        view: which.
-    """
-    u, v, own = scratch[COLUMN + lane], scratch[ROW + lane], scratch[AWAY + lane]
-    return is_occluded(views, view, u, v, own)
 
 
 @compiled_leaf

@@ -34,8 +34,9 @@ NUMBERS = 28
 # Points nearer to the camera's plane than this share of their recorded depth are left out.
 SMALLEST_DEPTH = np.float32(1e-9)
 HALF, ONE, TWO, ZERO = np.float32(0.5), np.float32(1.0), np.float32(2.0), np.float32(0.0)
-# Unsigned, as in ``sampling_kernels``: where rows and inverse depths of a batch begin.
-_ROW, _DEPTH = np.uintp(TOGETHER), np.uintp(2 * TOGETHER)
+# Unsigned, as in ``sampling_kernels``: where rows and inverse depths of a batch begin, and zeros
+# beside what is compared with them.
+_ROW, _DEPTH, _ZEROS = np.uintp(TOGETHER), np.uintp(2 * TOGETHER), np.uintp(LANES)
 
 
 @compiled_record
@@ -165,13 +166,13 @@ def _set_borders(numbers: Float32Array, width: int, height: int) -> None:
 def _set_reach(
     boxes: Float32Array, first: np.uintp, numbers: Float32Array, reach: Float32Array
 ) -> None:
-    """Writes how far ``LANES`` batches reach into the mesh: less than 0, they lie outside.
+    """Writes how far ``LANES`` batches reach into the mesh; with less than 0 they lie outside.
 
     Args:
         boxes: see ``DepthSamples``.
         first: of the batches.
         numbers: with the borders set.
-        reach: (LANES,) receives the result.
+        reach: (2 * LANES,) receives the result, then zeros.
     """
     step = np.uintp(len(boxes) // 6)
     for i in range(np.uintp(LANES)):
@@ -187,7 +188,7 @@ def _set_reach(
             highest = a * column + b * row + c + d * depth
             highest += abs(a) * beside + abs(b) * below + abs(d) * behind
             lowest = min(lowest, highest)
-        reach[i] = lowest
+        reach[i], reach[i + _ZEROS] = lowest, ZERO
 
 
 @compiled_leaf
@@ -198,7 +199,6 @@ def splat(
     matrix: FloatArray,
     spacing: float,
     numbers: Float32Array,
-    nothing: Float32Array,
     scratch: Float32Array,
     cells: Int32Array,
     corners: Float32Array,
@@ -214,7 +214,6 @@ def splat(
         matrix: (3, 4) world points to homogeneous virtual pixels.
         spacing: of the mesh's corners, virtual pixels.
         numbers: (NUMBERS,) overwritten.
-        nothing: (LANES,) zeros.
         scratch: (LANES * TOGETHER,) overwritten.
         cells: (LANES * TOGETHER,) int32, overwritten.
         corners: ((height + 2) * (width + 2) + ELSEWHERE,) inverse depths at the mesh's corners with
@@ -243,7 +242,7 @@ def splat(
     _set_borders(numbers, width, height)
     for first in range(samples.starts[view], samples.ends[view], LANES):
         _set_reach(samples.boxes, np.uintp(first), numbers, scratch)
-        inside = lanes_within(nothing, np.uintp(0), scratch, np.uintp(0))
+        inside = lanes_within(scratch, _ZEROS, scratch, np.uintp(0))
         inside &= (1 << min(samples.ends[view] - first, LANES)) - 1
         # First all of them are placed, then all are written: placing need not wait for that.
         count = np.uintp(0)

@@ -33,7 +33,6 @@ class SurfaceRoom(NamedTuple):
         starts: ``(H + 1,)`` where rows begin.
         matrix: ``(3, 4)`` world points to homogeneous virtual pixels.
         numbers: ``(NUMBERS,)``, and
-        nothing: ``(LANES,)``, and
         scratch: ``(LANES * TOGETHER,)``, and
         cells: ``(LANES * TOGETHER,)`` int32; see ``splat_kernels.splat``.
     """
@@ -49,7 +48,6 @@ class SurfaceRoom(NamedTuple):
     starts: IntArray
     matrix: FloatArray
     numbers: Float32Array
-    nothing: Float32Array
     scratch: Float32Array
     cells: Int32Array
 
@@ -89,7 +87,6 @@ def surface_room_for(width: int, height: int, spacing: float, wanted: Int32Array
         np.searchsorted(wanted, np.arange(height + 1) * width),
         np.empty((3, 4)),
         np.empty(NUMBERS, np.float32),
-        np.zeros(LANES, np.float32),
         aligned(LANES * TOGETHER, np.float32),
         aligned(LANES * TOGETHER, np.int32),
     )

@@ -19,6 +19,8 @@ from pipelines.lightfield.vector_code import (
     INDEX,
     LANE,
     LANES,
+    data_of,
+    lanes_at,
     multiply_add,
     repeated,
     vector,
@@ -55,9 +57,7 @@ def _add_texels(
     signature = types.void(texels, upper, lower, fraction, upper_weight, lower_weight, sums, pixel)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        texel_array, sum_array = signature.args[0], signature.args[6]
-        data = context.make_array(texel_array)(context, builder, arguments[0]).data
-        target = context.make_array(sum_array)(context, builder, arguments[6]).data
+        data, target = (data_of(context, builder, signature, arguments, i) for i in (0, 6))
         rows = [_two_texels(builder, data, index) for index in arguments[1:3]]
         weights = [repeated(builder, weight, 2 * CHANNELS) for weight in arguments[4:6]]
         column = builder.fmul(rows[0], weights[0])
@@ -121,12 +121,9 @@ def _load_lanes(
     )
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        kinds = signature.args
-
         def address(number: int, index: Any, kind: ir.Type) -> Any:
-            data = context.make_array(kinds[number])(context, builder, arguments[number]).data
-            pointer = builder.gep(data, [index])
-            return builder.bitcast(pointer, ir.VectorType(kind, LANES).as_pointer())
+            data = data_of(context, builder, signature, arguments, number)
+            return lanes_at(builder, data, index, kind)
 
         first, place = (builder.sext(arguments[i], INDEX) for i in (4, 5))
         x0, y0, a, b, c, d = (

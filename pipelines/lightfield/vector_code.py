@@ -20,6 +20,17 @@ def vector(lanes: int) -> ir.VectorType:
     return ir.VectorType(FLOAT, lanes)
 
 
+def data_of(context: Any, builder: Any, signature: Any, arguments: Any, number: int) -> Any:
+    """Where the elements of the array begin that is an intrinsic's ``number``-th argument."""
+    return context.make_array(signature.args[number])(context, builder, arguments[number]).data
+
+
+def lanes_at(builder: Any, data: Any, index: Any, kind: ir.Type = FLOAT) -> Any:
+    """Where ``LANES`` elements stand that begin at an index, as the address of a vector."""
+    place = builder.gep(data, [index])
+    return builder.bitcast(place, ir.VectorType(kind, LANES).as_pointer())
+
+
 def repeated(builder: Any, value: Any, lanes: int, kind: ir.Type = FLOAT) -> Any:
     """A vector of equal numbers."""
     undefined = ir.Constant(ir.VectorType(kind, lanes), ir.Undefined)

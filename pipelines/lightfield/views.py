@@ -162,15 +162,11 @@ def texels_beyond(widest: int) -> int:
 def _packed_depths(count: int, inverse_depths: Sequence[Float32Array] | None) -> dict[str, Any]:
     """Values, starts and sizes of all depth maps and their blocks; see ``ViewArrays``."""
     size = np.zeros((count, 2), dtype=np.int64)
-    maps, blocks = [np.zeros((0, 0), dtype=np.float32)] * count, []
+    maps = [np.zeros((0, 0), dtype=np.float32)] * count
+    blocks = maps.copy()
     for view, depth in enumerate(inverse_depths or ()):
         size[view] = depth.shape[1], depth.shape[0]
-        maps[view] = depth
-    for depth in maps:
-        height, width = (-(-side // BLOCK_SIDE) for side in depth.shape)
-        margin = [(0, -side % BLOCK_SIDE) for side in depth.shape]
-        squares = np.pad(depth, margin).reshape(height, BLOCK_SIDE, width, BLOCK_SIDE)
-        blocks.append(squares.max(axis=(1, 3)))
+        maps[view], blocks[view] = depth, _largest_in_blocks(depth)
     return {
         "inverse_depth": _in_one_row(maps),
         "depth_start": _starts(maps),
@@ -178,6 +174,14 @@ def _packed_depths(count: int, inverse_depths: Sequence[Float32Array] | None) ->
         "blocks": _in_one_row(blocks),
         "block_start": _starts(blocks),
     }
+
+
+def _largest_in_blocks(depth: Float32Array) -> Float32Array:
+    """The largest value of each square of ``BLOCK_SIDE`` of a depth map."""
+    height, width = (-(-side // BLOCK_SIDE) for side in depth.shape)
+    margin = [(0, -side % BLOCK_SIDE) for side in depth.shape]
+    squares = np.pad(depth, margin).reshape(height, BLOCK_SIDE, width, BLOCK_SIDE)
+    return np.asarray(squares.max(axis=(1, 3)))
 
 
 def _in_one_row(parts: Sequence[Float32Array]) -> Float32Array:
