@@ -48,6 +48,7 @@ class DatasetDescription:
             ("odometry", _trajectory_text(dataset.odometry)),
             ("ground truth", _trajectory_text(dataset.groundtruth)),
             ("depth images", str(_depth_count(dataset))),
+            ("mask", _mask_text(dataset)),
         ]
         return rows
 
@@ -73,11 +74,12 @@ class DatasetDescription:
             "odometry": _trajectory_dict(dataset.odometry),
             "groundtruth": _trajectory_dict(dataset.groundtruth),
             "depth_images": _depth_count(dataset),
+            "mask_left_out": None if dataset.mask is None else dataset.mask.left_out,
         }
 
 
 def describe_dataset(path: Path) -> DatasetDescription:
-    """Reads a data set (image headers, not pixels) and describes it.
+    """Reads a data set (of images the headers, not the pixels) and describes it.
 
     Raises:
         InputError: see ``load_dataset``.
@@ -114,3 +116,9 @@ def _trajectory_dict(trajectory: Trajectory | None) -> dict[str, Any] | None:
 
 def _depth_count(dataset: Dataset) -> int:
     return sum(name is not None for name in dataset.depth_names or ())
+
+
+def _mask_text(dataset: Dataset) -> str:
+    if dataset.mask is None:
+        return "none"
+    return f"{100.0 * dataset.mask.left_out:.0f} % of the image left out"
