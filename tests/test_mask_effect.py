@@ -1,16 +1,25 @@
 """What a mask does to the filter: nothing of what it hides takes part, from the first image on."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pipelines.artifacts.array_types import BoolArray, FloatArray, ImageArray
 from pipelines.artifacts.errors import OptionError
+from pipelines.artifacts.provenance import sha256_of_file
+from pipelines.dataset.camera_file import CameraFile, format_camera_file
+from pipelines.dataset.images import encode_png
+from pipelines.dataset.importers.placing import format_list
 from pipelines.geometry.camera import Camera, Undistorter
+from pipelines.geometry.pose import world_from_base_planar
+from pipelines.geometry.trajectory import Trajectory, format_tum
 from pipelines.localize.localizer import Localizer
 from pipelines.localize.observation import Observer
-from pipelines.localize.run import FrameRecord
+from pipelines.localize.run import FrameRecord, load_run
+from tests.chain_samples import succeed
+from tests.dock_samples import written_scene
 from tests.drive_samples import (
     SCENE,
     TRUTH,
@@ -222,3 +231,43 @@ def test_a_board_over_a_third_of_every_image_does_no_harm_from_the_first_frame_o
     # Without the mask the board is believed until it is found out.
     for record, state in zip(driven(None, seed)[:3], TRUTH[:3], strict=True):
         assert position_error(record, state) > 0.2
+
+
+def test_the_command_uses_the_masks_of_data_set_and_option(tmp_path: Path) -> None:
+    scene = written_scene(tmp_path)
+    data = tmp_path / "drive"
+    data.mkdir()
+    for number, state in enumerate(TRUTH):
+        image = photo(state)
+        image[:, :16] = BOARD
+        (data / f"{number}.png").write_bytes(encode_png(image))
+    times = np.arange(float(len(TRUTH)))
+    names = [f"{number}.png" for number in range(len(TRUTH))]
+    (data / "rgb.txt").write_text(format_list(times.tolist(), names), encoding="utf-8")
+    (data / "odometry.txt").write_text(
+        format_tum(Trajectory(times, world_from_base_planar(TRUTH))), encoding="utf-8"
+    )
+    (data / "camera.toml").write_text(
+        format_camera_file(CameraFile(CAMERA, MOUNT, None)), encoding="utf-8"
+    )
+    (data / "mask.png").write_bytes(encode_png(np.where(BOARD_MASK, 255, 0).astype(np.uint8)))
+    given = tmp_path / "given.png"
+    given.write_bytes(encode_png(np.full(BOARD_MASK.shape, 255, dtype=np.uint8)))
+    assert "33 % of the image left out" in succeed("info", data)
+
+    small = ("--particles", "60", "--start-particles", "2000", "--width", "24", "--refine-width")
+    command = ("localize", scene, data, *small, "48", "--threads", "1", "-o")
+    for name, options, mask in (
+        ("own", (), data / "mask.png"),
+        ("given", ("--mask", given), given),
+    ):
+        succeed(*command, tmp_path / f"{name}.h5", *options)
+        run = load_run(tmp_path / f"{name}.h5")
+        assert run.provenance["inputs"]["mask"] == sha256_of_file(mask)
+        error = position_error(run.frames[0], TRUTH[0])
+        assert error < 0.05 if name == "own" else error > 0.2
+    (data / "mask.png").unlink()
+    succeed(*command, tmp_path / "none.h5")
+    none, given_run = load_run(tmp_path / "none.h5"), load_run(tmp_path / "given.h5")
+    assert "mask" not in none.provenance["inputs"]
+    np.testing.assert_array_equal(none.frames[-1].particles, given_run.frames[-1].particles)

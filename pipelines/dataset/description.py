@@ -48,7 +48,7 @@ class DatasetDescription:
             ("odometry", _trajectory_text(dataset.odometry)),
             ("ground truth", _trajectory_text(dataset.groundtruth)),
             ("depth images", str(_depth_count(dataset))),
-            ("mask", _mask_text(dataset)),
+            ("mask", "none" if dataset.mask is None else dataset.mask.text),
         ]
         return rows
 
@@ -116,9 +116,3 @@ def _trajectory_dict(trajectory: Trajectory | None) -> dict[str, Any] | None:
 
 def _depth_count(dataset: Dataset) -> int:
     return sum(name is not None for name in dataset.depth_names or ())
-
-
-def _mask_text(dataset: Dataset) -> str:
-    if dataset.mask is None:
-        return "none"
-    return f"{100.0 * dataset.mask.left_out:.0f} % of the image left out"

@@ -38,6 +38,11 @@ class Mask:
         """Share of the image that is not used, 0 to 1."""
         return 1.0 - float(self.used.mean())
 
+    @property
+    def text(self) -> str:
+        """How much it leaves out, for people."""
+        return f"{100.0 * self.left_out:.0f} % of the image left out"
+
     def encoded(self) -> bytes:
         """A PNG of it: 0 where not used, else 255."""
         grey: ImageArray = np.where(self.used, np.uint8(255), np.uint8(0))
