@@ -12,6 +12,9 @@ from pipelines.artifacts.provenance import sha256_of_file
 from pipelines.dataset.camera_file import CameraFile, format_camera_file
 from pipelines.dataset.images import encode_png
 from pipelines.dataset.importers.placing import format_list
+from pipelines.dock.blockage import moment_of, stood_still
+from pipelines.dock.fix import Fix
+from pipelines.dock.robot import STANDSTILL, Movement
 from pipelines.geometry.camera import Camera, Undistorter
 from pipelines.geometry.pose import world_from_base_planar
 from pipelines.geometry.trajectory import Trajectory, format_tum
@@ -231,6 +234,22 @@ def test_a_board_over_a_third_of_every_image_does_no_harm_from_the_first_frame_o
     # Without the mask the board is believed until it is found out.
     for record, state in zip(driven(None, seed)[:3], TRUTH[:3], strict=True):
         assert position_error(record, state) > 0.2
+
+
+def test_a_board_does_not_make_a_robot_that_drives_seem_to_stand() -> None:
+    mask = np.ones_like(MASK)
+    mask[:, :36] = False
+    checks = 255 * (np.indices((CAMERA.height, 36)).sum(axis=0) // 6 % 2)
+    images = [photo(state) for state in (TRUTH[0], TRUTH[3])]
+    for image in images:
+        image[:, :36] = checks[..., None]
+    nowhere = np.empty((0, 4))
+    fix = Fix(TRUTH[0], np.eye(3), nowhere, is_refined=False, is_sure=False, is_blind=False)
+    step = Movement(0.4, 0.0, 0.0)
+    for used, stood in ((None, True), (mask, False)):
+        before, after = (moment_of(image, fix, used) for image in images)
+        # Odometry, too, says that nothing moved: the images decide.
+        assert stood_still(step, STANDSTILL, before, after) is stood
 
 
 def test_the_command_uses_the_masks_of_data_set_and_option(tmp_path: Path) -> None:
