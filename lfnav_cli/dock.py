@@ -122,6 +122,13 @@ def parse_fault(
 @click.option(
     "--heading-tolerance", type=float, default=0.4, show_default=True, help="Degrees likewise."
 )
+@click.option(
+    "--mask",
+    type=click.Path(path_type=Path),
+    metavar="FILE.png",
+    help="8-bit grey PNG of the size of the robot's camera: 0 where its images are not to be used "
+    "(the robot's bumper).",
+)
 @click.option("--threads", type=int, help="Of the filter. Default: all processors.")
 @device_option()
 @click.option("--seed", type=int, default=0, show_default=True, help="Random seed.")
@@ -217,6 +224,7 @@ def command(
     max_seconds: float,
     position_tolerance: float,
     heading_tolerance: float,
+    mask: Path | None,
     threads: int | None,
     device: str,
     seed: int,
@@ -271,7 +279,7 @@ def command(
         fault=fault,
     )
     if dry_run:
-        return _dry_run(scene, robot, options, seed, as_json)
+        return _dry_run(scene, robot, options, seed, mask, as_json)
     if output is None:
         raise click.UsageError("give the run file with -o, or --dry-run")
 
@@ -305,6 +313,7 @@ def command(
         seed=seed,
         overwrite=overwrite,
         listener=_silent if _is_quiet() else _print_step,
+        mask=mask,
     )
     print_summary(summary, as_json)
     if _is_quiet() and summary.exit_code != 0:
@@ -313,10 +322,12 @@ def command(
     return summary.exit_code
 
 
-def _dry_run(scene: Path, robot: str, options: "RobotOptions", seed: int, as_json: bool) -> int:
+def _dry_run(
+    scene: Path, robot: str, options: "RobotOptions", seed: int, mask: Path | None, as_json: bool
+) -> int:
     from pipelines.dock.stage import dry_run
 
-    summary = dry_run(scene, robot, options, seed)
+    summary = dry_run(scene, robot, options, seed, mask)
     print_summary(summary, as_json)
     return summary.exit_code
 

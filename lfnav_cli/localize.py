@@ -71,6 +71,13 @@ def _missing(values: Mapping[str, Path | None]) -> click.MissingParameter:
     "--method pnp can.",
 )
 @click.option(
+    "--mask",
+    metavar="FILE.png",
+    type=click.Path(path_type=Path),
+    help="8-bit grey PNG of the camera's size to use instead of the data set's mask.png: 0 where "
+    "images are not to be used (the robot's bumper).",
+)
+@click.option(
     "--area",
     metavar="XMIN,XMAX,YMIN,YMAX",
     callback=parse_numbers(4, "XMIN,XMAX,YMIN,YMAX"),
@@ -166,6 +173,7 @@ def command(
     config: Path | None,
     print_config: bool,
     odometry: str | None,
+    mask: Path | None,
     area: tuple[float, float, float, float] | None,
     init: tuple[float, ...] | None,
     degrees_of_freedom: str | None,
@@ -245,5 +253,6 @@ def command(
         overwrite=overwrite,
         progress=progress,
         reconstruction=reconstruction,
+        mask=mask,
     )
     print_summary(summary, as_json)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipelines.artifacts.array_types import BoolArray
 from pipelines.artifacts.progress import no_progress
 from pipelines.dataset.dataset import PAIRING_TOLERANCE, Dataset, load_dataset
 from pipelines.geometry.plane import Plane
@@ -48,7 +49,11 @@ def workshop_scene() -> Scene:
 
 
 def workshop_finder(
-    scene: Scene, space: StateSpace = PLANAR, threads: int = 2, height: float = 0.0
+    scene: Scene,
+    space: StateSpace = PLANAR,
+    threads: int = 2,
+    height: float = 0.0,
+    mask: BoolArray | None = None,
 ) -> PnpLocalizer:
     """Finds poses in the workshop; the camera's mount stands too low by ``height`` metres."""
     assert DRIVE.camera is not None
@@ -65,6 +70,7 @@ def workshop_finder(
         reconstruction=None,
         reconstruction_path="",
         progress=no_progress,
+        mask=mask,
     )
 
 

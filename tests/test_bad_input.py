@@ -18,10 +18,12 @@ import numpy as np
 import pytest
 
 from pipelines.artifacts.provenance import sha256_of_file
-from pipelines.dataset.images import encode_png
+from pipelines.dataset.images import encode_depth, encode_jpeg, encode_png
 from tests.chain_samples import ELEVATORS, first_frames, lfnav, map_elevators, succeed
 from tests.reconstruct_samples import turning_camera
 
+# A mask of the camera's size that uses all.
+GREY = np.full((480, 640), 255, dtype=np.uint8)
 FEW = ("--particles", "20", "--start-particles", "20")
 
 
@@ -210,6 +212,55 @@ def no_mount(place: Place) -> Refusal:
     return Refusal(place.localize(), named, r"no \[mount\]")
 
 
+def mask_of_another_size(place: Place) -> Refusal:
+    return spoilt_mask(
+        place, encode_png(GREY[:-1]), r"is 640x479 pixels, camera\.toml says 640x480"
+    )
+
+
+def mask_that_leaves_nothing(place: Place) -> Refusal:
+    return spoilt_mask(place, encode_png(0 * GREY), "leaves no pixel to be used")
+
+
+def mask_in_colour(place: Place) -> Refusal:
+    return spoilt_mask(place, encode_png(np.dstack([GREY] * 3)), "is in colour, not 8-bit grey")
+
+
+def mask_of_16_bits(place: Place) -> Refusal:
+    return spoilt_mask(place, encode_depth(GREY.astype(np.uint16)), "is 16-bit grey")
+
+
+def mask_that_is_a_jpeg(place: Place) -> Refusal:
+    return spoilt_mask(place, encode_jpeg(GREY), "is a JPEG, not a PNG")
+
+
+def mask_that_is_text(place: Place) -> Refusal:
+    return spoilt_mask(place, b"the lower third", "neither a JPEG nor a PNG")
+
+
+def other_mask_not_there(place: Place) -> Refusal:
+    missing = place.root / "none.png"
+    return Refusal(place.localize("--mask", missing), missing, "cannot be read")
+
+
+def other_mask_of_another_size(place: Place) -> Refusal:
+    other = place.root / "other.png"
+    other.write_bytes(encode_png(GREY[:, 1:]))
+    return Refusal(place.localize("--mask", other), other, "is 639x480 pixels")
+
+
+def mask_of_stripes(place: Place) -> Refusal:
+    stripes = GREY * (np.arange(GREY.shape[1]) % 2).astype(np.uint8)
+    (place.data / "mask.png").write_bytes(encode_png(stripes))
+    return Refusal(place.localize(), None, "the mask leaves 0.0% of the undistorted image")
+
+
+def spoilt_mask(place: Place, content: bytes, reason: str) -> Refusal:
+    mask = place.data / "mask.png"
+    mask.write_bytes(content)
+    return Refusal(place.localize(), mask, reason)
+
+
 def camera_that_only_turns(place: Place) -> Refusal:
     shutil.rmtree(place.data)
     turning_camera(place.data, 4, with_camera=True)
@@ -383,6 +434,15 @@ CASES: tuple[Callable[[Place], Refusal], ...] = (
     unknown_camera_model,
     no_camera,
     no_mount,
+    mask_of_another_size,
+    mask_that_leaves_nothing,
+    mask_in_colour,
+    mask_of_16_bits,
+    mask_that_is_a_jpeg,
+    mask_that_is_text,
+    other_mask_not_there,
+    other_mask_of_another_size,
+    mask_of_stripes,
     camera_that_only_turns,
     reconstruction_without_views,
     folder_that_is_no_reconstruction,
@@ -438,6 +498,9 @@ def files_below(folder: Path) -> set[Path]:
 
 def test_unspoilt_everything_works(place: Place) -> None:
     # Else a case could be refused for something else than what it spoils.
+    succeed(*place.localize())
+    place.output.unlink()
+    (place.data / "mask.png").write_bytes(encode_png(GREY))
     succeed(*place.localize())
     place.output.unlink()
     succeed(*place.reconstruct())

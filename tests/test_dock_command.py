@@ -12,6 +12,7 @@ from lfnav_cli import common
 from lfnav_cli.main import main
 from pipelines.artifacts.array_types import FloatArray
 from pipelines.artifacts.errors import StageError
+from pipelines.artifacts.provenance import sha256_of_file
 from pipelines.dataset.images import encode_png
 from pipelines.dock.robots.actuation import MotionNoise, SimulatedMotion
 from pipelines.dock.robots.replay import ReplayRobot
@@ -155,6 +156,28 @@ def test_a_goal_outside_writes_nothing(
     view = near_wall(scene, output, *robot, "--goal-view", "7")
     check_one_line(view, capsys, "has no view 7", "0 to 2")
     assert not output.exists()
+
+
+def test_a_mask_goes_with_the_robots_camera(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mask = tmp_path / "bumper.png"
+    grey = np.full((36, 48), 255, dtype=np.uint8)
+    grey[27:] = 0
+    mask.write_bytes(encode_png(grey))
+    robot = ["--robot", f"model:{scene}", "--goal", pose(GOAL), "--mask", str(mask)]
+    output = tmp_path / "run.h5"
+    assert run(near_wall(scene, output, *robot), capsys)[0] == 0
+    assert load_run(output).provenance["inputs"]["mask"] == sha256_of_file(mask)
+    looked = ["dock", str(scene), "--dry-run", "--robot", "tests.dock_samples:PaintedRobot"]
+    assert "25 % of the image left out" in run([*looked, "--mask", str(mask)], capsys)[1]
+    # Refused before anything moves.
+    mask.write_bytes(encode_png(grey[:30]))
+    for arguments in (near_wall(scene, tmp_path / "b.h5", *robot), [*looked, "--mask", str(mask)]):
+        check_one_line(arguments, capsys, f"{mask}: is 48x30 pixels", "robot's camera is 48x36")
+    missing = near_wall(scene, tmp_path / "b.h5", *robot[:-1], str(tmp_path / "none.png"))
+    check_one_line(missing, capsys, "none.png: cannot be read")
+    assert not (tmp_path / "b.h5").exists()
 
 
 def test_a_replay_shows_the_nearest_frame() -> None:

@@ -23,12 +23,13 @@ from pipelines.geometry.pose import inverse, pose_from_rotation
 from pipelines.lightfield.bundle import save_scene
 from pipelines.localize import pnp
 from pipelines.localize.pnp import MIN_INLIERS, PnpAnswer, PnpLocalizer, covariance_at
-from pipelines.localize.pnp_worker import match, pose_covariance
+from pipelines.localize.pnp_worker import find_features, match, pose_covariance
 from pipelines.localize.run import load_run
 from pipelines.localize.state_space import PLANAR, SPATIAL, StateSpace
 from tests.chain_samples import first_frames, lfnav, succeed
 from tests.lightfield_samples import looking
 from tests.pnp_samples import DRIVE, FRAMES, WORKSHOP, python, workshop_finder, workshop_scene
+from tests.reconstruct_samples import texture
 
 SCENE = workshop_scene()
 
@@ -190,6 +191,46 @@ class _Pinhole:
         return 500.0 * points[:, :2] / points[:, 2:] + [320.0, 240.0]
 
 
+@pytest.mark.parametrize("max_size", [480, 240])
+def test_masked_features_are_left_out_and_do_not_count(max_size: int) -> None:
+    grey = np.ascontiguousarray(texture(360, 480)[:, :, 0])
+    used = np.ones((360, 480), dtype=np.uint8)
+    used[:, :160] = 0
+    found = find_features(grey, max_size, 100, used)
+    # Half a pixel of the reduced image may reach over.
+    assert found.pixels[:, 0].min() > 159.0 - 0.5 * 480 / max_size
+    # The strongest of those that remain, not those that remain of the strongest.
+    everywhere = find_features(grey, max_size, 0)
+    inside = everywhere.pixels[:, 0] > 161.0 + 480 / max_size
+    assert np.count_nonzero(inside) > 100
+    assert len(found.pixels) == 100
+    known = {tuple(pixel) for pixel in everywhere.pixels}
+    assert all(tuple(pixel) in known for pixel in found.pixels)
+    plain = find_features(grey, max_size, 100)
+    whole = find_features(grey, max_size, 100, np.ones_like(used))
+    np.testing.assert_array_equal(whole.pixels, plain.pixels[:100])
+
+
+def test_a_mask_holds_for_camera_images_and_not_for_the_map() -> None:
+    frame = FRAMES[0]
+    image = DRIVE.read_image(frame).copy()
+    mask = np.ones(image.shape[:2], dtype=np.bool_)
+    mask[:, :213] = False
+    # The board on the robot shows a piece of another photo of the map.
+    image[:, :213] = DRIVE.read_image(FRAMES[1])[:, :213]
+    with workshop_finder(SCENE, mask=mask) as finder:
+        answer = finder.locate(image)
+        assert answer.inliers >= MIN_INLIERS
+        assert errors(answer, frame, PLANAR)[0] < 0.05
+        # What is masked changes nothing but features at the border.
+        image[:, :150] = 0
+        assert errors(finder.locate(image), frame, PLANAR)[0] < 0.05
+    with workshop_finder(SCENE, mask=~mask) as finder:
+        assert finder.locate(image).state is None
+    with pytest.raises(OptionError, match="the mask has the shape"):
+        workshop_finder(SCENE, mask=mask[1:])
+
+
 def test_the_covariance_is_that_of_poses_from_noisy_pixels() -> None:
     random = np.random.default_rng(6)
     world_from_camera = looking([1.0, -3.0, 1.2], [0.5, 0.0, 0.8])
@@ -269,6 +310,17 @@ def test_a_run_of_poses_by_features(workshop: Path, tmp_path: Path) -> None:
     figures = json.loads(succeed("evaluate", run_path, "--json"))
     assert figures["pnp"]["share_with_pose"] == pytest.approx(2 / 3)
     assert figures["frames_without_estimate"] == 1
+
+
+def test_a_run_of_poses_by_features_uses_the_mask(workshop: Path, tmp_path: Path) -> None:
+    scene, run_path = workshop / "scene.h5", tmp_path / "run.h5"
+    grey = np.zeros((480, 640), dtype=np.uint8)
+    grey[:, 600:] = 255
+    (tmp_path / "mask.png").write_bytes(encode_png(grey))
+    mask = ("--mask", tmp_path / "mask.png")
+    succeed("localize", scene, workshop / "drive", "-o", run_path, "--method", "pnp", *mask)
+    # What is left of the images is too narrow.
+    assert [frame.status for frame in load_run(run_path).frames] == ["lost"] * 3
 
 
 def test_points_of_a_reconstruction_are_for_pnp_alone(workshop: Path, tmp_path: Path) -> None:

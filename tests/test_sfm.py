@@ -17,6 +17,7 @@ from lfnav_cli.main import main
 from pipelines.artifacts.array_types import FloatArray
 from pipelines.artifacts.errors import InputError, OptionError, StageError
 from pipelines.artifacts.progress import no_progress
+from pipelines.artifacts.provenance import sha256_of_file
 from pipelines.dataset.dataset import load_dataset
 from pipelines.dataset.images import decode_image, encode_png
 from pipelines.geometry.pose import inverse, rotation_angle
@@ -134,6 +135,25 @@ def test_the_statistics_tell_how_it_went(workshop_part: Path) -> None:
     assert statistics["pairs_by_rotation_share"] == 0.0
     assert description["provenance"]["settings"]["seed"] == 0
     assert {"images", "camera.toml", "odometry.txt"} <= set(description["provenance"]["inputs"])
+
+
+def test_no_features_are_taken_where_the_mask_says_so(workshop_part: Path, tmp_path: Path) -> None:
+    part_of(WORKSHOP, tmp_path / "d", range(10, 18), ["camera.toml", "odometry.txt"])
+    mask = np.full((480, 640), 255, dtype=np.uint8)
+    mask[:, :200] = 0
+    (tmp_path / "d" / "mask.png").write_bytes(encode_png(mask))
+    # Features are sought in smaller images: their places must be compared in the full size.
+    found = run(tmp_path / "d", tmp_path / "r", QUICK)
+    pixels = load_reconstruction(workshop_part / "r").observed_pixels
+    masked = found.observed_pixels
+    assert pixels is not None
+    assert masked is not None
+    assert np.count_nonzero(pixels[:, 0] < 199.0) > 100
+    assert masked[:, 0].min() > 198.5
+    assert np.count_nonzero(masked[:, 0] < 215.0) > 20
+    description = json.loads((tmp_path / "r" / "reconstruction.json").read_text())
+    digest = sha256_of_file(tmp_path / "d" / "mask.png")
+    assert description["provenance"]["inputs"]["mask.png"] == digest
 
 
 def test_scale_and_odometry_exclude_each_other(workshop_part: Path, tmp_path: Path) -> None:

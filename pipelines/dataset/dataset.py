@@ -1,8 +1,9 @@
 """Data sets: images in time order, their camera, odometry and ground truth.
 
 The layout is that of the TUM RGB-D benchmark: ``rgb.txt`` (timestamp and file name a line) and the
-images it names, and optionally ``camera.toml``, ``odometry.txt``, ``groundtruth.txt`` and
-``depth.txt``. A plain folder of images is a data set too; its timestamps are 0, 1, 2, ...
+images it names, and optionally ``camera.toml``, ``odometry.txt``, ``groundtruth.txt``,
+``depth.txt`` and ``mask.png``. A plain folder of images is a data set too; its timestamps are 0, 1,
+2, ...
 """
 
 import logging
@@ -25,6 +26,7 @@ from pipelines.dataset.images import (
     read_image_bytes,
     read_image_header,
 )
+from pipelines.dataset.mask import MASK_FILE, Mask, read_mask
 from pipelines.geometry.camera import Camera
 from pipelines.geometry.trajectory import Trajectory, read_tum
 
@@ -52,6 +54,7 @@ class Dataset:
         groundtruth: world_from_body; for evaluation, never for estimation.
         depth_names: for each image its depth image relative to ``root``, or None.
         depth_scale: value in a depth image / depth_scale = metres.
+        mask: of what the camera always sees; None where there is none.
     """
 
     root: Path
@@ -63,6 +66,7 @@ class Dataset:
     groundtruth: Trajectory | None
     depth_names: tuple[str | None, ...] | None
     depth_scale: float | None
+    mask: Mask | None = None
 
     def __len__(self) -> int:
         return len(self.image_names)
@@ -95,7 +99,11 @@ class Dataset:
 
 
 def load_dataset(
-    root: Path, *, odometry: Path | None = None, groundtruth: Path | None = None
+    root: Path,
+    *,
+    odometry: Path | None = None,
+    groundtruth: Path | None = None,
+    mask: Path | None = None,
 ) -> Dataset:
     """Reads and checks a data set; of the images the headers only.
 
@@ -103,6 +111,7 @@ def load_dataset(
         root: a folder with ``rgb.txt``, or with images in it or in one of its sub-folders.
         odometry: a TUM file to use instead of the folder's ``odometry.txt``.
         groundtruth: a TUM file to use instead of the folder's ``groundtruth.txt``.
+        mask: a mask to use instead of the folder's ``mask.png``.
 
     Raises:
         InputError: something is missing, damaged or contradictory; names the file and the reason.
@@ -116,7 +125,7 @@ def load_dataset(
         timestamps = np.arange(len(names), dtype=np.float64)
     camera_path = root / CAMERA_FILE
     camera_file = read_camera_file(camera_path) if camera_path.is_file() else None
-    _check_images(root, names, camera_file)
+    size = _checked_size(root, names, camera_file)
     dataset = Dataset(
         root=root,
         image_names=names,
@@ -127,6 +136,9 @@ def load_dataset(
         groundtruth=_read_trajectory(groundtruth, root / GROUNDTRUTH_FILE),
         depth_names=_depth_names(root, timestamps),
         depth_scale=camera_file.depth_scale if camera_file else None,
+        mask=_read_mask(
+            root, mask, size, f"{CAMERA_FILE} says" if camera_file else f"{names[0]} is"
+        ),
     )
     _log.info("%s: %d images", root, len(dataset))
     return dataset
@@ -252,7 +264,7 @@ def _check_plain(root: Path) -> None:
 
 def _plain_images(root: Path) -> tuple[str, ...]:
     """The images of a plain folder in natural order, or else those of its one sub-folder."""
-    names = images_in(root)
+    names = tuple(name for name in images_in(root) if name != MASK_FILE)
     if names:
         return names
     try:
@@ -305,8 +317,10 @@ def natural_key(name: str) -> tuple[list[tuple[int, str]], str]:
     return key, name
 
 
-def _check_images(root: Path, names: tuple[str, ...], camera_file: CameraFile | None) -> None:
-    """Compares the size of every image with the camera's, or with the first image's."""
+def _checked_size(
+    root: Path, names: tuple[str, ...], camera_file: CameraFile | None
+) -> tuple[int, int]:
+    """Width and height of all images: the camera's, or the first image's."""
     expected: tuple[int, int] | None = None
     if camera_file is not None:
         expected = (camera_file.camera.width, camera_file.camera.height)
@@ -318,6 +332,9 @@ def _check_images(root: Path, names: tuple[str, ...], camera_file: CameraFile | 
         if size != expected:
             others = None if camera_file is not None else names[0]
             raise _wrong_size(root / name, size, expected, others)
+    if expected is None:
+        raise InputError(root, "holds no image")
+    return expected
 
 
 def _wrong_size(
@@ -335,6 +352,14 @@ def _read_trajectory(given: Path | None, default: Path) -> Trajectory | None:
     if given is not None:
         return read_tum(given)
     return read_tum(default) if default.is_file() else None
+
+
+def _read_mask(root: Path, given: Path | None, size: tuple[int, int], whose: str) -> Mask | None:
+    path = root / MASK_FILE if given is None else given
+    # A link that leads nowhere is not the same as no mask.
+    if given is None and not os.path.lexists(path):
+        return None
+    return read_mask(path, size, whose)
 
 
 def _depth_names(root: Path, timestamps: FloatArray) -> tuple[str | None, ...] | None:

@@ -48,6 +48,7 @@ class DatasetDescription:
             ("odometry", _trajectory_text(dataset.odometry)),
             ("ground truth", _trajectory_text(dataset.groundtruth)),
             ("depth images", str(_depth_count(dataset))),
+            ("mask", "none" if dataset.mask is None else dataset.mask.text),
         ]
         return rows
 
@@ -73,11 +74,12 @@ class DatasetDescription:
             "odometry": _trajectory_dict(dataset.odometry),
             "groundtruth": _trajectory_dict(dataset.groundtruth),
             "depth_images": _depth_count(dataset),
+            "mask_left_out": None if dataset.mask is None else dataset.mask.left_out,
         }
 
 
 def describe_dataset(path: Path) -> DatasetDescription:
-    """Reads a data set (image headers, not pixels) and describes it.
+    """Reads a data set (of images the headers, not the pixels) and describes it.
 
     Raises:
         InputError: see ``load_dataset``.

@@ -25,6 +25,14 @@ IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
 # What Pillow calls the formats; MPO is a JPEG with further pictures behind it, as phones write.
 _FORMATS = {"JPEG": "JPEG", "MPO": "JPEG", "PNG": "PNG"}
 _GREY_16_BIT = ("I;16", "I;16B", "I;16L", "I;16N", "I")
+# Pillow's modes, for people.
+_MODE_TEXTS = {
+    "1": "1-bit black and white",
+    "LA": "grey with transparency",
+    "P": "a palette of colours",
+    "RGB": "in colour",
+    "RGBA": "in colour or grey with transparency",
+}
 # What Pillow raises over damaged files.
 _DECODING_ERRORS = (
     OSError,
@@ -117,6 +125,27 @@ def decode_depth(data: bytes, name: Path | str) -> NDArray[np.uint16]:
     if image.mode not in _GREY_16_BIT:
         raise InputError(name, f"is no depth image: mode {image.mode} instead of 16-bit grey")
     return np.asarray(image).astype(np.uint16)
+
+
+def decode_grey(data: bytes, name: Path | str) -> ImageArray:
+    """Decodes a picture in 8-bit grey, such as a mask; its values are what the file says.
+
+    Args:
+        data: the content of the file.
+        name: what to call it in an error.
+
+    Returns:
+        ``(H, W)``.
+
+    Raises:
+        InputError: see ``decode_image``; colours, a palette, transparency or another depth.
+    """
+    with _opened(io.BytesIO(data), name) as image:
+        kind = "RGBA" if "transparency" in image.info else str(image.mode)
+    if kind != "L":
+        found = "16-bit grey" if kind in _GREY_16_BIT else _MODE_TEXTS.get(kind, f"mode {kind}")
+        raise InputError(name, f"is {found}, not 8-bit grey", "save it as an 8-bit grey PNG")
+    return np.array(_decoded(data, name), dtype=np.uint8)
 
 
 def read_image_bytes(path: Path) -> bytes:

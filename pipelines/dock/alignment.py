@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray, ImageArray
+from pipelines.artifacts.array_types import BoolArray, FloatArray, ImageArray
 from pipelines.dock.fix import Fix
 from pipelines.dock.geometry import distance_between, turn_between
 from pipelines.dock.local_contrast import ContrastRenderer, contrast_of, correlation
@@ -49,6 +49,7 @@ class FineAlignment:
         settings: of the filter.
         goal: ``(3,)`` fixes farther than ``reach`` from it are left alone; None: no fix is.
         reach: metres.
+        mask: ``(height, width)``, True where the camera's images are to be used; None: everywhere.
     """
 
     def __init__(
@@ -59,6 +60,7 @@ class FineAlignment:
         settings: LocalizerSettings,
         goal: FloatArray | None = None,
         reach: float = math.inf,
+        mask: BoolArray | None = None,
     ) -> None:
         self._goal, self._reach = goal, reach
         self._renderer = Renderer.of_scene(
@@ -71,7 +73,7 @@ class FineAlignment:
         self._contrasts = ContrastRenderer(self._renderer)
         finest = min(FINEST_WIDTH, camera.width)
         self._widths = tuple(sorted({max(4, finest // part) for part in (4, 2, 1)}))
-        self._observer = Observer(camera, self._widths)
+        self._observer = Observer(camera, self._widths, mask)
         self._base_from_camera = base_from_camera
         sigmas = [settings.map_position_sigma] * 2 + [settings.map_heading_sigma]
         self._map_covariance = np.diag(np.square(sigmas))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from pipelines.artifacts.array_types import Float32Array, ImageArray
+from pipelines.artifacts.array_types import BoolArray, Float32Array, ImageArray
 from pipelines.dock.fix import Fix
 from pipelines.dock.geometry import movement_between
 from pipelines.dock.robot import Movement
@@ -17,6 +17,8 @@ STILL_SHARE = 0.3
 # Images that correlate more than this were taken from the same place, whatever the noise.
 STILL_CORRELATION = 0.98
 WIDTH = 40
+# A pixel of which a mask leaves more than this share counts as used.
+FULLY_USED = 0.99
 
 
 @dataclass(frozen=True)
@@ -24,7 +26,8 @@ class Moment:
     """What was seen between two movements.
 
     Attributes:
-        picture: the camera image, grey, ``WIDTH`` pixels across.
+        picture: ``(N,)`` grey levels of the used pixels of the camera image at ``WIDTH`` pixels
+            across.
         fix: where the robot was taken to be.
     """
 
@@ -32,12 +35,17 @@ class Moment:
     fix: Fix
 
 
-def moment_of(image: ImageArray, fix: Fix) -> Moment:
-    """The moment of a camera image ``(H, W, 3)``."""
+def moment_of(image: ImageArray, fix: Fix, mask: BoolArray | None = None) -> Moment:
+    """The moment of a camera image ``(H, W, 3)``, used where ``mask`` ``(H, W)`` is True."""
     height = max(1, round(image.shape[0] * WIDTH / image.shape[1]))
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     small = cv2.resize(grey, (WIDTH, height), interpolation=cv2.INTER_AREA)
-    return Moment(np.asarray(small, dtype=np.float32), fix)
+    used = np.ones(small.shape, dtype=np.bool_)
+    if mask is not None:
+        # What is fixed to the camera looks still while the robot moves.
+        shares = cv2.resize(mask.astype(np.float32), (WIDTH, height), interpolation=cv2.INTER_AREA)
+        used = np.asarray(shares > FULLY_USED, dtype=np.bool_)
+    return Moment(np.asarray(small[used], dtype=np.float32), fix)
 
 
 def stood_still(commanded: Movement, measured: Movement, before: Moment, after: Moment) -> bool:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray, ImageArray
+from pipelines.artifacts.array_types import BoolArray, FloatArray, ImageArray
 from pipelines.artifacts.errors import LfnavError, OptionError
 from pipelines.dock.alignment import FineAlignment
 from pipelines.dock.blockage import Moment, moment_of, stood_still
@@ -76,6 +76,7 @@ class Equipment:
         alignment: makes its estimates finer.
         pilot: with goal and bounds.
         settings: of the docking.
+        mask: ``(height, width)``, True where the robot's images are used; None: everywhere.
     """
 
     robot: CheckedRobot
@@ -84,6 +85,7 @@ class Equipment:
     alignment: FineAlignment
     pilot: Pilot
     settings: DockSettings
+    mask: BoolArray | None = None
 
 
 def equipment_of(
@@ -93,6 +95,7 @@ def equipment_of(
     settings: DockSettings,
     filter_settings: LocalizerSettings,
     rng: np.random.Generator,
+    mask: BoolArray | None = None,
 ) -> Equipment:
     """Makes localizer and pilot for a robot in a scene.
 
@@ -103,6 +106,8 @@ def equipment_of(
         settings: of the docking.
         filter_settings: of the filter; start and area are taken from ``settings``.
         rng: of the filter.
+        mask: ``(height, width)``, True where images of the robot's camera are to be used; None:
+            everywhere.
 
     Raises:
         OptionError: a goal where no robot can be, an area outside of the scene, a filter with six
@@ -126,12 +131,14 @@ def equipment_of(
 
     def localizer_of(start: tuple[float, ...] | None) -> Localizer:
         own = replace(chosen, start=start)
-        return Localizer(scene, robot.camera, robot.base_from_camera, own, rng, renderer)
+        return Localizer(scene, robot.camera, robot.base_from_camera, own, rng, renderer, mask)
 
     intrinsics = Undistorter(robot.camera).intrinsics
     explorer = Explorer(renderer, robot.base_from_camera, intrinsics, safety)
     reach = settings.staging_distance + ALIGNED_BEYOND_STAGING
-    alignment = FineAlignment(scene, robot.camera, robot.base_from_camera, chosen, goal, reach)
+    alignment = FineAlignment(
+        scene, robot.camera, robot.base_from_camera, chosen, goal, reach, mask
+    )
     pilot = Pilot(goal, settings, safety, explorer)
     return Equipment(
         robot,
@@ -140,6 +147,7 @@ def equipment_of(
         alignment,
         pilot,
         settings,
+        mask,
     )
 
 
@@ -188,6 +196,7 @@ class _Loop:
         self._alignment = equipment.alignment
         self._pilot = equipment.pilot
         self._settings = equipment.settings
+        self._mask = equipment.mask
         self._listener = listener
         self._entries: list[Entry] = []
         self._memory = Memory()
@@ -206,7 +215,7 @@ class _Loop:
             true_state = self._robot.true_state()
             frame = self._localized(image, measured, spent)
             frame, fix = self._fixed(frame, image, measured)
-            now = moment_of(image, fix)
+            now = moment_of(image, fix, self._mask)
             still = before is not None and stood_still(command, measured, before, now)
             if before is not None and self._doubt(
                 not still and contradicts(measured, before.fix, fix)

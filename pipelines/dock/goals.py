@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.array_types import BoolArray, FloatArray
 from pipelines.artifacts.errors import InputError, OptionError
 from pipelines.dataset.images import decode_image, read_image_bytes
 from pipelines.dock.alignment import FineAlignment
@@ -43,6 +43,7 @@ def goal_of_image(
     base_from_camera: FloatArray,
     settings: LocalizerSettings,
     rng: np.random.Generator,
+    mask: BoolArray | None = None,
 ) -> FloatArray:
     """The state ``(3,)`` from which the robot's camera sees an image.
 
@@ -53,6 +54,7 @@ def goal_of_image(
         base_from_camera: ``(4, 4)`` its mount.
         settings: of the filter; the image is searched for in their area.
         rng: of the filter.
+        mask: ``(height, width)``, True where images of the camera are to be used; None: everywhere.
 
     Raises:
         InputError: unreadable, of another size than the camera's, or not found in the scene.
@@ -65,8 +67,9 @@ def goal_of_image(
             f"{camera.width}x{camera.height}",
             "take it with the robot's camera",
         )
-    localizer = Localizer(scene, camera, base_from_camera, replace(settings, start=None), rng)
-    alignment = FineAlignment(scene, camera, base_from_camera, settings)
+    anywhere = replace(settings, start=None)
+    localizer = Localizer(scene, camera, base_from_camera, anywhere, rng, mask=mask)
+    alignment = FineAlignment(scene, camera, base_from_camera, settings, mask=mask)
     for number in range(LOOKS):
         fix = fix_of(localizer.step(image, np.zeros(3) if number else None, float(number)))
         fix = alignment(fix, image)

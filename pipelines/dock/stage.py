@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.array_types import BoolArray, FloatArray
 from pipelines.artifacts.atomic import check_output
 from pipelines.artifacts.errors import OptionError
 from pipelines.artifacts.provenance import provenance
+from pipelines.dataset.mask import Mask, read_mask
 from pipelines.dock.dock import Listener, dock, equipment_of
 from pipelines.dock.geometry import distance_between, turn_between
 from pipelines.dock.goals import goal_of_image, goal_of_view
@@ -152,6 +153,7 @@ def dock_robot(
     seed: int,
     overwrite: bool,
     listener: Listener,
+    mask: Path | None = None,
 ) -> DockSummary:
     """Docks a robot and writes the run, however it ended.
 
@@ -166,6 +168,7 @@ def dock_robot(
         seed: of the filter's and a simulated robot's random numbers, not negative.
         overwrite: whether an existing file may be replaced.
         listener: told of every step.
+        mask: file that says where images of the robot's camera are not to be used.
 
     Raises:
         InputError: an input cannot be used, or the output not be written.
@@ -178,15 +181,16 @@ def dock_robot(
     # The run says where it was computed: another device rounds differently.
     filter_settings = replace(filter_settings, device=resolved_device(filter_settings.device))
     robot = robot_named(robot_name, scene, robot_options, seed)
-    place = _goal_state(goal, scene, robot, filter_settings, seed)
+    seen = _mask_of(robot, mask)
+    used = None if seen is None else seen.used
+    place = _goal_state(goal, scene, robot, used, filter_settings, seed)
     rng = np.random.default_rng(seed)
-    equipment = equipment_of(scene, robot, place, settings, filter_settings, rng)
+    equipment = equipment_of(scene, robot, place, settings, filter_settings, rng, used)
     docking = dock(equipment, listener)
-    record = provenance(
-        "dock",
-        {**settings.to_dict(), "robot": robot_name, "seed": seed},
-        {"scene": scene.identifier},
-    )
+    inputs = {"scene": scene.identifier}
+    if seen is not None:
+        inputs["mask"] = seen.sha256
+    record = provenance("dock", {**settings.to_dict(), "robot": robot_name, "seed": seed}, inputs)
     origin = Origin(
         scene.identifier, relative_scene_path(scene_path, output), robot_name, seed, record
     )
@@ -200,7 +204,11 @@ def dock_robot(
 
 
 def dry_run(
-    scene_path: Path, robot_name: str, robot_options: RobotOptions, seed: int
+    scene_path: Path,
+    robot_name: str,
+    robot_options: RobotOptions,
+    seed: int,
+    mask: Path | None = None,
 ) -> DryRunSummary:
     """Looks whether a robot is in order: takes an image, moves by nothing, stops.
 
@@ -209,6 +217,7 @@ def dry_run(
     """
     _check_seed(seed)
     robot = robot_named(robot_name, load_scene(scene_path), robot_options, seed)
+    seen = _mask_of(robot, mask)
     try:
         image = robot.take_image()
         measured = robot.move(STANDSTILL)
@@ -223,6 +232,8 @@ def dry_run(
         f"{math.degrees(measured.turn):.3f} deg",
         "seconds for these": f"{robot.seconds:.3f}",
     }
+    if seen is not None:
+        facts["mask"] = seen.text
     if robot.note:
         facts = {"camera images": robot.note, **facts}
     return DryRunSummary(robot_name, robot, facts)
@@ -233,10 +244,16 @@ def _check_seed(seed: int) -> None:
         raise OptionError(f"seed {seed} is negative")
 
 
+def _mask_of(robot: CheckedRobot, path: Path | None) -> Mask | None:
+    size = (robot.camera.width, robot.camera.height)
+    return None if path is None else read_mask(path, size, "the robot's camera is")
+
+
 def _goal_state(
     goal: Goal,
     scene: Scene,
     robot: CheckedRobot,
+    mask: BoolArray | None,
     filter_settings: LocalizerSettings,
     seed: int,
 ) -> FloatArray:
@@ -248,7 +265,7 @@ def _goal_state(
         raise OptionError("there is no goal")
     rng = np.random.default_rng([seed, 4])
     return goal_of_image(
-        scene, goal.image, robot.camera, robot.base_from_camera, filter_settings, rng
+        scene, goal.image, robot.camera, robot.base_from_camera, filter_settings, rng, mask
     )
 
 

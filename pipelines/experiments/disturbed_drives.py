@@ -33,6 +33,7 @@ from pipelines.dataset.dataset import (
 )
 from pipelines.dataset.images import encode_png
 from pipelines.dataset.importers.placing import format_list
+from pipelines.dataset.mask import MASK_FILE
 from pipelines.geometry.pose import inverse
 from pipelines.geometry.trajectory import Trajectory, format_tum, read_tum
 
@@ -197,8 +198,9 @@ def _write(
         data = dataset.read_image_bytes(source) if altered is None else encode_png(altered)
         (folder / names[-1]).write_bytes(data)
     (folder / IMAGE_LIST).write_text(format_list(times.tolist(), names), encoding="utf-8")
-    if (dataset.root / CAMERA_FILE).is_file():
-        shutil.copyfile(dataset.root / CAMERA_FILE, folder / CAMERA_FILE)
+    for name in (CAMERA_FILE, MASK_FILE):
+        if (dataset.root / name).is_file():
+            shutil.copyfile(dataset.root / name, folder / name)
     paths = {GROUNDTRUTH_FILE: truth[list(kind.order)]}
     for name, poses in odometry.items():
         paths[name] = odometry_with_jumps(poses, kind.order, kind.jumps)

@@ -12,6 +12,7 @@ from pipelines.dataset.dataset import (
     ODOMETRY_FILE,
     Dataset,
 )
+from pipelines.dataset.mask import MASK_FILE
 
 # Packages whose code decides what a run comes to.
 PROGRAM = ("artifacts", "geometry", "dataset", "lightfield", "localize")
@@ -32,9 +33,9 @@ def scene_hash(path: Path) -> str:
 
 
 def dataset_hash(dataset: Dataset) -> str:
-    """SHA-256 of a data set without its odometry: lists, camera, truth, and all images."""
+    """SHA-256 of a data set without its odometry: lists, camera, mask, truth, images."""
     digest = hashlib.sha256()
-    for name in (IMAGE_LIST, CAMERA_FILE, GROUNDTRUTH_FILE, *dataset.image_names):
+    for name in (IMAGE_LIST, CAMERA_FILE, MASK_FILE, GROUNDTRUTH_FILE, *dataset.image_names):
         if (dataset.root / name).is_file():
             digest.update(f"{name} {sha256_of_file(dataset.root / name)}\n".encode())
     return digest.hexdigest()

@@ -13,7 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray, ImageArray
+from pipelines.artifacts.array_types import BoolArray, FloatArray, ImageArray
 from pipelines.artifacts.errors import OptionError
 from pipelines.geometry.camera import Camera
 from pipelines.lightfield.proxy import Quality, quality_named
@@ -66,9 +66,12 @@ class Localizer:
         settings: the filter's settings.
         rng: the only source of randomness.
         renderer: of the scene; made here when None.
+        mask: ``(height, width)``, True where the camera's images as recorded are to be used; None:
+            everywhere.
 
     Raises:
-        OptionError: an area that does not touch the scene's bounds.
+        OptionError: an area that does not touch the scene's bounds, or a mask that does not go with
+            the camera.
     """
 
     def __init__(
@@ -79,11 +82,12 @@ class Localizer:
         settings: LocalizerSettings,
         rng: np.random.Generator,
         renderer: Renderer | None = None,
+        mask: BoolArray | None = None,
     ) -> None:
         self.settings = settings
         self.space = settings.state_space
         self._camera = camera
-        self._observer = Observer(camera, settings.widths)
+        self._observer = Observer(camera, settings.widths, mask)
         if renderer is None:
             renderer = Renderer.of_scene(
                 scene,

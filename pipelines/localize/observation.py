@@ -3,7 +3,8 @@
 What is fixed to the camera is not the scene: dirt on the lens, the robot's own bumper, tape over a
 part of the view. Those pixels keep their colours while everything else changes, and after a few
 frames they are left out of the comparison (NaN). A bare wall may keep its colours too; nothing is
-lost with it, since it tells no place from another.
+lost with it, since it tells no place from another. Where a mask says so, pixels are left out from
+the first image on, whatever they show.
 
 To weigh particles, some of the pixels are enough: those of a lattice that has as many in every row
 and column, another one for each image, so that all pixels have their turn.
@@ -18,6 +19,8 @@ import cv2
 import numpy as np
 
 from pipelines.artifacts.array_types import BoolArray, Float32Array, ImageArray
+from pipelines.artifacts.errors import OptionError
+from pipelines.dataset.mask import SMALLEST_USED_SHARE
 from pipelines.geometry.camera import Camera, Intrinsics, Undistorter
 from pipelines.lightfield.views import area_average, query_intrinsics
 
@@ -31,6 +34,8 @@ FIXED_RANGE, FIXED_IMAGES, USUAL_RANGE = 3.0, 4, 12.0
 LARGEST_FIXED_SHARE = 0.6
 # Less than this is not worth a search.
 SMALLEST_FIXED_SHARE = 0.05
+# A pixel of which a mask leaves out more than this share is left out.
+LARGEST_MASKED_SHARE = 0.01
 # One pixel in so many -> how far a row's pixels stand aside from those of the row above.
 LATTICES = MappingProxyType({1: 0, 2: 1, 3: 1, 5: 2})
 # Fewer pixels than this are all compared, or more of them.
@@ -89,7 +94,8 @@ class Observations:
 
     Attributes:
         by_width: width in pixels -> the image.
-        contrast: standard deviation of the grey levels in the coarsest.
+        contrast: standard deviation of the grey levels in the coarsest, without what a mask leaves
+            out.
         uncovers: whether so much was left out for the first time that what was concluded from
             earlier images may be wrong.
     """
@@ -110,12 +116,22 @@ class Observer:
     Args:
         camera: the robot's.
         widths: of the images wanted, pixels; never more than the camera has.
+        mask: ``(height, width)``, True where images as recorded are to be used; None: everywhere.
+
+    Raises:
+        OptionError: a mask of another size than the camera, or one that leaves next to nothing.
     """
 
-    def __init__(self, camera: Camera, widths: Sequence[int]) -> None:
+    def __init__(
+        self, camera: Camera, widths: Sequence[int], mask: BoolArray | None = None
+    ) -> None:
         self._undistorter = Undistorter(camera)
         self._intrinsics = {
             width: query_intrinsics(camera, self._undistorter, width) for width in set(widths)
+        }
+        self._used = {
+            width: _used_pixels(mask, self._undistorter, pinhole)
+            for width, pinhole in self._intrinsics.items()
         }
         self._lowest: Float32Array | None = None
         self._highest: Float32Array | None = None
@@ -130,17 +146,19 @@ class Observer:
             width: area_average(straight, pinhole.width, pinhole.height).astype(np.float32)
             for width, pinhole in self._intrinsics.items()
         }
-        coarsest = sizes[min(sizes)]
-        contrast = float(np.std(coarsest.mean(axis=2)))
+        coarsest, used = sizes[min(sizes)], self._used[min(sizes)]
+        contrast = float(np.std(coarsest.mean(axis=2)[used]))
         uncovers = False
         if contrast >= SMALLEST_CONTRAST:
-            fixed = self._fixed(coarsest)
-            share = float(fixed.mean())
+            fixed = self._fixed(coarsest, used)
+            share = float(fixed[used].mean())
             uncovers = share >= SMALLEST_FIXED_SHARE > self._fixed_share
             self._fixed_share = max(self._fixed_share, share)
             for small in sizes.values():
                 height, width = small.shape[:2]
                 small[cv2.resize(fixed.astype(np.float32), (width, height)) > 0.01] = np.nan
+        for width, small in sizes.items():
+            small[~self._used[width]] = np.nan
         by_width = {
             width: Observation(small, self._intrinsics[width], self._number)
             for width, small in sizes.items()
@@ -148,16 +166,48 @@ class Observer:
         self._number += 1
         return Observations(by_width, contrast, uncovers)
 
-    def _fixed(self, image: Float32Array) -> BoolArray:
-        """Pixels ``(H, W)`` that have kept their colours in all images so far."""
+    def _fixed(self, image: Float32Array, used: BoolArray) -> BoolArray:
+        """Pixels ``(H, W)``, among the used ones, that kept their colours in all images so far."""
         if self._lowest is None or self._highest is None:
             self._lowest = self._highest = image
         self._lowest = np.minimum(self._lowest, image)
         self._highest = np.maximum(self._highest, image)
         self._images += 1
         ranges = (self._highest - self._lowest).max(axis=2)
-        fixed = np.asarray(ranges <= FIXED_RANGE, dtype=np.bool_)
-        is_moving = self._images >= FIXED_IMAGES and float(np.median(ranges)) >= USUAL_RANGE
-        if not is_moving or float(fixed.mean()) > LARGEST_FIXED_SHARE:
+        fixed = np.asarray((ranges <= FIXED_RANGE) & used, dtype=np.bool_)
+        is_moving = self._images >= FIXED_IMAGES and float(np.median(ranges[used])) >= USUAL_RANGE
+        if not is_moving or float(fixed[used].mean()) > LARGEST_FIXED_SHARE:
             return np.zeros_like(fixed)
         return fixed
+
+
+def check_mask(mask: BoolArray, camera: Camera) -> None:
+    """Refuses a mask that has not a pixel for each of the camera's.
+
+    Raises:
+        OptionError: it has another shape.
+    """
+    if mask.shape != (camera.height, camera.width):
+        raise OptionError(
+            f"the mask has the shape {mask.shape}, "
+            f"images of the camera have {(camera.height, camera.width)}"
+        )
+
+
+def _used_pixels(
+    mask: BoolArray | None, undistorter: Undistorter, pinhole: Intrinsics
+) -> BoolArray:
+    """Pixels ``(H, W)`` of the undistorted and averaged image that a mask lets be used."""
+    if mask is None:
+        return np.ones((pinhole.height, pinhole.width), dtype=np.bool_)
+    check_mask(mask, undistorter.camera)
+    straight = undistorter(np.where(mask, np.uint8(0), np.uint8(255)))
+    size = (pinhole.width, pinhole.height)
+    shares = cv2.resize(straight.astype(np.float32), size, interpolation=cv2.INTER_AREA) / 255.0
+    used = np.asarray(shares <= LARGEST_MASKED_SHARE, dtype=np.bool_)
+    if float(used.mean()) < SMALLEST_USED_SHARE:
+        raise OptionError(
+            f"the mask leaves {used.mean():.1%} of the undistorted image at {pinhole.width} pixels "
+            f"across, less than {SMALLEST_USED_SHARE:.0%}; mask coherent areas and fewer of them"
+        )
+    return used

@@ -22,7 +22,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray, ImageArray
+from pipelines.artifacts.array_types import BoolArray, FloatArray, ImageArray
 from pipelines.artifacts.errors import OptionError, StageError
 from pipelines.artifacts.progress import Progress
 from pipelines.artifacts.worker_process import WorkerProcess, worker_command
@@ -30,6 +30,7 @@ from pipelines.geometry.camera import Camera
 from pipelines.geometry.pose import inverse, pose_from_rotation
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.landmarks import LandmarkSource
+from pipelines.localize.observation import check_mask
 from pipelines.localize.pnp_worker import Settings
 from pipelines.localize.state_space import StateSpace
 from pipelines.reconstruct.colmap_model import colmap_params
@@ -95,8 +96,10 @@ class PnpLocalizer:
         reconstruction: whose points are the landmarks; None: places on the scene's surface are.
         reconstruction_path: how errors name it.
         progress: shown while the features of the photos are sought.
+        mask: ``(height, width)``, True where images of the camera are to be used; None: everywhere.
 
     Raises:
+        OptionError: a mask of another size than the camera.
         InputError: a photo of the scene cannot be decoded, or the reconstruction is not the scene's
             or has no points.
         StageError: the worker ended before its time.
@@ -114,7 +117,11 @@ class PnpLocalizer:
         reconstruction: Reconstruction | None,
         reconstruction_path: str,
         progress: Progress,
+        mask: BoolArray | None = None,
     ) -> None:
+        if mask is not None:
+            check_mask(mask, camera)
+        self._mask = mask
         self._scene = scene
         self._camera = camera
         self._body_from_camera = body_from_camera
@@ -142,6 +149,8 @@ class PnpLocalizer:
                 WorkerProcess(command, Path(folder), "localization by features", ENVIRONMENT)
             )
             self._describe_photos()
+            if self._mask is not None:
+                self._ask({"do": "mask", **_packed(self._mask.astype(np.uint8))})
             self._resources = resources.pop_all()
         return self
 
@@ -186,8 +195,8 @@ class PnpLocalizer:
     def _ask(self, request: dict[str, Any]) -> dict[str, Any]:
         self._worker.write(request)
         answer = self._worker.read()
-        wanted = {"describe": {"pixels"}, "landmarks": set(), "locate": {"inliers", "matches"}}
-        if not wanted[request["do"]] <= set(answer):
+        wanted = {"describe": {"pixels"}, "locate": {"inliers", "matches"}}
+        if not wanted.get(request["do"], set()) <= set(answer):
             raise StageError(f"the worker for localization by features said {answer!r}")
         return answer
 
@@ -227,7 +236,11 @@ def _is_on_floor(pose: FloatArray) -> bool:
 
 def _encoded(image: ImageArray) -> dict[str, Any]:
     """Brightness of an RGB image, as the worker takes it."""
-    grey = np.ascontiguousarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
+    return _packed(np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8))
+
+
+def _packed(grey: ImageArray) -> dict[str, Any]:
+    """An array ``(height, width)`` as JSON."""
     height, width = grey.shape
     return {
         "image": base64.b64encode(grey.tobytes()).decode("ascii"),

@@ -10,7 +10,8 @@ robust refinement, with the camera's own distortion.
 
 Protocol: a JSON object a line on stdin, one as an answer on stdout. ``describe`` takes a photo of
 the map and answers the pixels of its features; ``landmarks`` says which of the last photo's have a
-place in the world; ``locate`` takes a camera image and answers its pose, or why there is none.
+place in the world; ``mask`` says where camera images are used (not 0); ``locate`` takes a camera
+image and answers its pose, or why there is none.
 Pixels have their centres at integers here and at .5 in pycolmap.
 """
 
@@ -38,6 +39,8 @@ SCOUTS, CLOSER_LOOKS = 256, 12
 LARGEST_ERROR_SHARE = 0.0125
 SMALLEST_ERROR = 2.0
 RANSAC_TRIALS = 20_000
+# A pixel of which a mask leaves more than this share counts as used.
+FULLY_USED = 0.99
 
 
 @dataclass(frozen=True)
@@ -94,24 +97,38 @@ class MapView:
     points: FloatArray
 
 
-def find_features(grey: ImageArray, max_size: int, max_features: int) -> Features:
-    """The features of an image ``(height, width)``."""
+def find_features(
+    grey: ImageArray, max_size: int, max_features: int, used: ImageArray | None = None
+) -> Features:
+    """The features of an image ``(height, width)``; those where ``used`` is not 0, if given."""
     height, width = grey.shape
     scale = min(1.0, max_size / max(height, width))
     size = max(1, round(width * scale)), max(1, round(height * scale))
     small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA) if scale < 1.0 else grey
     # Without precise upscaling OpenCV's positions are shifted by a quarter of a pixel.
     sift = cv2.SIFT.create(
-        nfeatures=max_features, contrastThreshold=CONTRAST, enable_precise_upscale=True
+        # OpenCV looks at the mask last: what is masked would count among the strongest. 0: all.
+        nfeatures=max_features if used is None else 0,
+        contrastThreshold=CONTRAST,
+        enable_precise_upscale=True,
     )
-    keypoints, descriptors = sift.detectAndCompute(small, None)
+    mask = None if used is None else _reduced_mask(used, size)
+    keypoints, descriptors = sift.detectAndCompute(small, mask)
     if len(keypoints) == 0:
         return Features(np.empty((0, 2)), np.empty((0, 128), dtype=np.float32))
     order = np.argsort([-keypoint.response for keypoint in keypoints], kind="stable")
+    order = order[:max_features] if used is not None else order
     pixels = np.array([keypoint.pt for keypoint in keypoints], dtype=np.float64)[order]
     factors = np.array([width / size[0], height / size[1]])
     shares = descriptors[order] / np.maximum(descriptors[order].sum(axis=1, keepdims=True), 1e-12)
     return Features((pixels + 0.5) * factors - 0.5, np.sqrt(shares).astype(np.float32))
+
+
+def _reduced_mask(used: ImageArray, size: tuple[int, int]) -> ImageArray:
+    """Not 0 where all of a pixel of the reduced image, width and height ``size``, is used."""
+    shares = (used != 0).astype(np.float32)
+    reduced = cv2.resize(shares, size, interpolation=cv2.INTER_AREA)
+    return np.asarray(reduced > FULLY_USED, dtype=np.uint8)
 
 
 def match(first: Float32Array, second: Float32Array, *, mutual: bool = True) -> IntArray:
@@ -139,6 +156,7 @@ class PoseFinder:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._views: list[MapView] = []
+        self._used: ImageArray | None = None
 
     def describe(self, grey: ImageArray) -> FloatArray:
         """Takes one more photo of the map; returns the pixels ``(F, 2)`` of its features."""
@@ -153,12 +171,16 @@ class PoseFinder:
         landmark[rows] = np.arange(len(rows))
         self._views[-1] = replace(self._views[-1], landmark=landmark, points=points)
 
+    def use_only(self, used: ImageArray) -> None:
+        """Says where camera images ``(height, width)`` are used: where this is not 0."""
+        self._used = used
+
     def locate(self, grey: ImageArray) -> dict[str, Any]:
         """The camera's pose when it took an image ``(height, width)``, as JSON; or the reason."""
         import pycolmap
 
         settings = self._settings
-        features = self._features(grey)
+        features = self._features(grey, self._used)
         rows, points = self._landmarks(features)
         matched = len(np.unique(rows))
         found = {"matches": matched, "inliers": 0}
@@ -197,8 +219,8 @@ class PoseFinder:
             "covariance": covariance.tolist(),
         }
 
-    def _features(self, grey: ImageArray) -> Features:
-        return find_features(grey, self._settings.max_size, self._settings.max_features)
+    def _features(self, grey: ImageArray, used: ImageArray | None = None) -> Features:
+        return find_features(grey, self._settings.max_size, self._settings.max_features, used)
 
     def _landmarks(self, features: Features) -> tuple[IntArray, FloatArray]:
         """Features that match, ``(K,)`` rows, and where their matches are, ``(K, 3)``."""
@@ -276,6 +298,9 @@ def answer_to(finder: PoseFinder, request: dict[str, Any]) -> dict[str, Any]:
     if task == "landmarks":
         points = np.array(request["points"], dtype=np.float64).reshape(-1, 3)
         finder.place(np.array(request["rows"], dtype=np.int64), points)
+        return {}
+    if task == "mask":
+        finder.use_only(_decoded(request))
         return {}
     if task == "locate":
         return finder.locate(_decoded(request))

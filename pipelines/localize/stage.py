@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray, ImageArray
+from pipelines.artifacts.array_types import BoolArray, FloatArray, ImageArray
 from pipelines.artifacts.atomic import check_output
 from pipelines.artifacts.errors import InputError, OptionError
 from pipelines.artifacts.progress import Progress
@@ -54,6 +54,7 @@ def localize(
     progress: Progress,
     reconstruction: Path | None = None,
     ignore_odometry: bool = False,
+    mask: Path | None = None,
 ) -> RunSummary:
     """Localizes the robot in every frame of a data set and writes the run.
 
@@ -68,6 +69,7 @@ def localize(
         progress: told how far the work is.
         reconstruction: folder of the scene's reconstruction, whose points PnP then uses.
         ignore_odometry: whether to do without the data set's own.
+        mask: file to use instead of the data set's own.
 
     Raises:
         InputError: an input cannot be used, or the output not be written.
@@ -80,7 +82,7 @@ def localize(
         raise OptionError("a reconstruction is of use to PnP alone, which nothing asks for")
     scene = load_scene(scene_path)
     points = None if reconstruction is None else load_reconstruction(reconstruction)
-    dataset = load_dataset(dataset_path, odometry=odometry)
+    dataset = load_dataset(dataset_path, odometry=odometry, mask=mask)
     if ignore_odometry:
         dataset = replace(dataset, odometry=None)
     if settings.method == "filter":
@@ -92,6 +94,8 @@ def localize(
     inputs = {"scene": scene.identifier}
     if dataset.odometry is not None:
         inputs["odometry"] = sha256_of_file(source)
+    if dataset.mask is not None:
+        inputs["mask"] = dataset.mask.sha256
     if reconstruction is not None:
         inputs["reconstruction"] = sha256_of_file(reconstruction / DESCRIPTION_NAME)
     run = localize_dataset(
@@ -127,7 +131,7 @@ def localize_dataset(
 
     Args:
         scene: the light field.
-        dataset: with camera, mount and odometry.
+        dataset: with camera, mount and odometry, and a mask where there is one.
         settings: of the filter.
         seed: of its random numbers.
         odometry_source: the odometry's file, for errors.
@@ -142,6 +146,7 @@ def localize_dataset(
     """
     space = settings.state_space
     camera, mount = _camera_and_mount(dataset, space)
+    mask = None if dataset.mask is None else dataset.mask.used
     check_odometry(dataset, settings, odometry_source)
     body_poses = None
     if dataset.odometry is not None:
@@ -160,9 +165,11 @@ def localize_dataset(
                     reconstruction=reconstruction,
                     reconstruction_path=reconstruction_path,
                     progress=progress,
+                    mask=mask,
                 )
             )
-        locate = _locator(scene, camera, mount, settings, np.random.default_rng(seed), pnp)
+        rng = np.random.default_rng(seed)
+        locate = _locator(scene, camera, mount, mask, settings, rng, pnp)
         frames = []
         for index in progress(range(len(dataset)), "localize", len(dataset)):
             increment = None
@@ -205,6 +212,7 @@ def _locator(
     scene: Scene,
     camera: Camera,
     mount: FloatArray,
+    mask: BoolArray | None,
     settings: LocalizerSettings,
     rng: np.random.Generator,
     pnp: PnpLocalizer | None,
@@ -215,7 +223,7 @@ def _locator(
         return lambda image, _, time, name: pnp_record(
             pnp.locate(image), region, settings, rng, time, name
         )
-    localizer = Localizer(scene, camera, mount, settings, rng)
+    localizer = Localizer(scene, camera, mount, settings, rng, mask=mask)
     if pnp is None:
         return localizer.step
 

@@ -100,7 +100,8 @@ def structure_from_motion(
 ) -> StructureFromMotion:
     """Runs structure from motion on all images of a data set.
 
-    The camera is fixed where the data set knows it, else a SIMPLE_RADIAL camera is estimated.
+    The camera is fixed where the data set knows it, else a SIMPLE_RADIAL camera is estimated. No
+    features are taken where the data set's mask says so.
 
     Raises:
         InputError: fewer than three images.
@@ -156,6 +157,9 @@ def _prepare(dataset: Dataset, settings: ReconstructSettings, folder: Path) -> R
     pairs = image_pairs(len(names), settings.matcher)
     pair_file = folder / "pairs.txt"
     pair_file.write_text("".join(f"{names[i]} {names[j]}\n" for i, j in pairs), encoding="utf-8")
+    mask_file = folder / "mask.png"
+    if dataset.mask is not None:
+        mask_file.write_bytes(dataset.mask.encoded())
     camera = dataset.camera
     header = image_header(dataset.read_image_bytes(0), dataset.image_path(0))
     return Request(
@@ -172,6 +176,7 @@ def _prepare(dataset: Dataset, settings: ReconstructSettings, folder: Path) -> R
         seed=settings.seed,
         max_features=settings.max_features,
         max_size=settings.max_size,
+        mask=None if dataset.mask is None else str(mask_file),
     )
 
 

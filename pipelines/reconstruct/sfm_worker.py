@@ -45,6 +45,7 @@ class Request:
         camera_params: COLMAP's parameters and pixel convention, fixed; None: to be estimated.
         threads: how many at most.
         seed, max_features, max_size: as in ``ReconstructSettings``.
+        mask: a grey image of that size; no features are taken where it is 0; None: everywhere.
     """
 
     images: str
@@ -60,6 +61,7 @@ class Request:
     seed: int
     max_features: int
     max_size: int
+    mask: str | None = None
 
 
 Emit = Callable[[dict[str, Any]], None]
@@ -99,6 +101,8 @@ def _extract(request: Request) -> None:
     reader = pycolmap.ImageReaderOptions()
     reader.camera_model = request.camera_model
     reader.existing_camera_id = _register(request, reader)
+    if request.mask is not None:
+        reader.camera_mask_path = request.mask
     extraction = pycolmap.FeatureExtractionOptions()
     extraction.max_image_size = request.max_size
     extraction.sift.max_num_features = request.max_features

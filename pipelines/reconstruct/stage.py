@@ -225,6 +225,8 @@ def _inputs(data: Dataset, settings: ReconstructSettings, result: Reconstruction
     for name in names:
         if (data.root / name).is_file():
             inputs[name] = sha256_of_file(data.root / name)
+    if settings.method == "sfm" and data.mask is not None:
+        inputs["mask.png"] = data.mask.sha256
     if settings.poses is not None:
         inputs["poses"] = sha256_of_file(settings.poses)
     return inputs
