@@ -158,15 +158,27 @@ def quaternion_of_another_length(place: Place) -> Refusal:
     return Refusal(place.reconstruct(), named, "line 3: the quaternion has length 3")
 
 
+def put_w_first(path: Path) -> Path:
+    numbers = r"(?m)^([^#\n]+) (\S+) (\S+) (\S+) (\S+)$"
+    text = re.sub(numbers, r"\1 \5 \2 \3 \4", path.read_text(encoding="utf-8"))
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
 def w_first_in_odometry(place: Place) -> Refusal:
-    named = place.data / "odometry.txt"
-    text = re.sub(
-        r"(?m)^([^#\n]+) (\S+) (\S+) (\S+) (\S+)$",
-        r"\1 \5 \2 \3 \4",
-        named.read_text(encoding="utf-8"),
-    )
-    named.write_text(text, encoding="utf-8")
+    named = put_w_first(place.data / "odometry.txt")
     return Refusal(place.localize(), named, r"as if w came first .*; lfnav reads .* qx qy qz qw")
+
+
+def w_first_for_a_map(place: Place) -> Refusal:
+    named = put_w_first(place.data / "odometry.txt")
+    return Refusal(place.reconstruct(), named, "as if w came first")
+
+
+def ramp_for_a_planar_map(place: Place) -> Refusal:
+    refusal = odometry_up_a_ramp(place)
+    arguments = place.reconstruct("sfm", "--planar")
+    return Refusal(arguments, refusal.named, "is not of a robot .*; without --planar")
 
 
 def odometry_of_a_camera(place: Place) -> Refusal:
@@ -399,6 +411,8 @@ CASES: tuple[Callable[[Place], Refusal], ...] = (
     odometry_of_a_camera,
     odometry_up_a_ramp,
     w_first_in_odometry,
+    w_first_for_a_map,
+    ramp_for_a_planar_map,
     quaternion_of_another_length,
     no_odometry,
     no_odometry_for_a_map,

@@ -54,6 +54,7 @@ CAMERA_FORWARD_SHARE = 0.7
 _NEAR_AXIS = math.cos(math.radians(45.0))
 _Z = np.array([0.0, 0.0, 1.0])
 
+TURNS_ABOUT_Y = "turns about its y axis"
 HOW_TO_LEAVE_THE_FLOOR = "give --dof 6 where the ground is not level"
 
 
@@ -157,11 +158,14 @@ def _climb_path(positions: FloatArray) -> float:
 
 def cause_of(poses: FloatArray) -> Cause:
     """The likeliest reason why ``world_from_body``, ``(N, 4, 4)``, is not a robot's on a floor."""
+    sign = camera_sign_of(poses)
+    if sign == TURNS_ABOUT_Y:
+        return Cause.CAMERA
     other = planarity_of(_read_with_w_first(poses))
     # Not leaning at all: a camera that never turns may lean little when its numbers are moved on.
     if not (other.leans or other.is_contradiction):
         return Cause.W_FIRST
-    if camera_sign_of(poses) is not None:
+    if sign is not None:
         return Cause.CAMERA
     if float(np.median(poses[:, 2, 2])) < -_NEAR_AXIS:
         return Cause.Z_DOWN
@@ -180,7 +184,7 @@ def camera_sign_of(poses: FloatArray) -> str | None:
     # A robot pitches about its y axis on a ramp, but it moves along x there.
     is_no_pitch = along_z > along_x or turned > NO_PITCH
     if is_y and is_axis and is_no_pitch:
-        return "turns about its y axis"
+        return TURNS_ABOUT_Y
     if _unit(rotations[:, 2, :].mean(axis=0))[1] < -_NEAR_AXIS:
         return "has its y axis down"
     if along_z > CAMERA_FORWARD_SHARE * float(np.linalg.norm(steps, axis=1).sum()) > 0.0:
@@ -207,15 +211,11 @@ def check_planar(
     found = planarity_of(poses)
     if not found.is_suspicious:
         return None
-    cause = cause_of(poses) if found.is_contradiction else Cause.UNEVEN
     if not found.is_contradiction:
         return f"{source}: the robot {found.text()}, a robot on a floor does not; {way_out}"
+    cause = cause_of(poses)
     if cause is Cause.W_FIRST:
-        raise InputError(
-            source,
-            f"its quaternions look as if w came first (as read, the robot {found.text()})",
-            "lfnav reads tx ty tz qx qy qz qw",
-        )
+        raise _w_first_error(found, source)
     if cause is Cause.CAMERA:
         raise InputError(
             source,
@@ -228,6 +228,25 @@ def check_planar(
             source, "its z axis points down", "a robot's base has x forward, y left, z up"
         )
     raise InputError(source, f"is not of a robot on a floor: it {found.text()}", way_out)
+
+
+def check_quaternion_order(poses: FloatArray, source: Path | str) -> None:
+    """Refuses a robot's poses ``(N, 4, 4)`` that have w first, where it may leave the floor too.
+
+    Raises:
+        InputError: as read, it cannot be on a floor, and with w first it does not lean.
+    """
+    found = planarity_of(poses)
+    if found.is_contradiction and cause_of(poses) is Cause.W_FIRST:
+        raise _w_first_error(found, source)
+
+
+def _w_first_error(found: Planarity, source: Path | str) -> InputError:
+    return InputError(
+        source,
+        f"its quaternions look as if w came first (as read, the robot {found.text()})",
+        "lfnav reads tx ty tz qx qy qz qw",
+    )
 
 
 def _read_with_w_first(poses: FloatArray) -> FloatArray:
