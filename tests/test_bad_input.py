@@ -160,6 +160,42 @@ def quaternion_of_another_length(place: Place) -> Refusal:
     return Refusal(place.reconstruct(), named, "line 3: the quaternion has length 3")
 
 
+def put_w_first(path: Path) -> Path:
+    numbers = r"(?m)^([^#\n]+) (\S+) (\S+) (\S+) (\S+)$"
+    text = re.sub(numbers, r"\1 \5 \2 \3 \4", path.read_text(encoding="utf-8"))
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def w_first_in_odometry(place: Place) -> Refusal:
+    named = put_w_first(place.data / "odometry.txt")
+    return Refusal(place.localize(), named, r"as if w came first .*; lfnav reads .* qx qy qz qw")
+
+
+def w_first_for_a_map(place: Place) -> Refusal:
+    named = put_w_first(place.data / "odometry.txt")
+    return Refusal(place.reconstruct(), named, "as if w came first")
+
+
+def ramp_for_a_planar_map(place: Place) -> Refusal:
+    refusal = odometry_up_a_ramp(place)
+    arguments = place.reconstruct("sfm", "--planar")
+    return Refusal(arguments, refusal.named, "is not of a robot .*; without --planar")
+
+
+def odometry_of_a_camera(place: Place) -> Refusal:
+    named = place.data / "odometry.txt"
+    named.write_text("".join(f"{0.5 * i} 0 0 {0.3 * i} 0 0 0 1\n" for i in range(10)))
+    return Refusal(place.localize(), named, r"to be of a camera .*moves along its z.*; .*--dof 6")
+
+
+def odometry_up_a_ramp(place: Place) -> Refusal:
+    named = place.data / "odometry.txt"
+    lines = "".join(f"{0.5 * i} {i} 0 {0.3 * i} 0 -0.145 0 0.989\n" for i in range(10))
+    named.write_text(lines)
+    return Refusal(place.localize(), named, r"is not of a robot on a floor: .*; give --dof 6")
+
+
 def no_odometry(place: Place) -> Refusal:
     (place.data / "odometry.txt").unlink()
     return Refusal(place.localize(), place.data / "odometry.txt", "missing: .*give .*--odometry")
@@ -423,6 +459,11 @@ CASES: tuple[Callable[[Place], Refusal], ...] = (
     one_time_does_not_pair,
     no_time_pairs,
     nan_in_odometry,
+    odometry_of_a_camera,
+    odometry_up_a_ramp,
+    w_first_in_odometry,
+    w_first_for_a_map,
+    ramp_for_a_planar_map,
     quaternion_of_another_length,
     no_odometry,
     no_odometry_for_a_map,
@@ -504,6 +545,21 @@ def test_unspoilt_everything_works(place: Place) -> None:
     succeed(*place.localize())
     place.output.unlink()
     succeed(*place.reconstruct())
+
+
+def test_suspicious_odometry_is_said_and_kept(place: Place) -> None:
+    named = place.data / "odometry.txt"
+    lines = "".join(f"{0.5 * i} {2 * i} 0 {0.1 * i} 0 0 0 1\n" for i in range(10))
+    named.write_text(lines)
+    note = "the robot changes its height by 0.20 m over 4.0 m, a robot on a floor does not; "
+    outcome = lfnav(*place.localize("--json"))
+    assert outcome.code == 0, outcome
+    (said,) = json.loads(outcome.out)["notes"]
+    assert said.startswith(f"{named}: {note}")
+    assert note in succeed("info", place.output)
+    # What the robot really is, is not asked of a camera that moves freely.
+    free = lfnav(*place.localize("--dof", "6", "--json", "--overwrite"))
+    assert json.loads(free.out)["notes"] == []
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.__name__)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from lfnav_cli.common import format_table
-from pipelines.localize.description import describe_run
+from pipelines.localize.description import describe_run, notes_of
 from pipelines.localize.run import Run, save_run
 from tests.localize_samples import curved_path, run_along, spatial_run
 
@@ -58,3 +58,11 @@ def test_a_run_that_ends_blind_says_so(tmp_path: Path) -> None:
     table, _ = described(tmp_path, replace(run, frames=(run.frames[0], blind)))
     assert "none (blind)" in table
     assert "tracking 1, blind 1" in table
+
+
+def test_notes_are_a_line_each_whatever_a_file_holds(tmp_path: Path) -> None:
+    run = replace(run_along(curved_path(2)), provenance={"notes": ["the ground\n  slopes"]})
+    table, content = described(tmp_path, run)
+    assert content["notes"] == ["the ground slopes"]
+    assert table.splitlines()[-1].split("  ")[0] == "note"
+    assert notes_of(replace(run, provenance={"notes": 3})) == ()

@@ -42,6 +42,7 @@ class RunSummary:
             ("seed", str(run.seed)),
         ]
         rows += [(f"setting {name}", str(run.settings[name])) for name in sorted(run.settings)]
+        rows += [("note", note) for note in notes_of(run)]
         return rows
 
     def seconds_per_frame(self) -> float:
@@ -72,6 +73,7 @@ class RunSummary:
             "odometry": run.odometry is not None,
             "groundtruth": run.groundtruth is not None,
             "seed": run.seed,
+            "notes": list(notes_of(run)),
             "settings": dict(run.settings),
             "provenance": dict(run.provenance),
         }
@@ -89,6 +91,14 @@ class RunSummary:
         if state is None:
             return f"none ({self.run.frames[-1].status})"
         return f"{name}: {_state_text(self.run.space, state)}"
+
+
+def notes_of(run: Run) -> tuple[str, ...]:
+    """Lines on what is suspicious about a run's inputs; they are kept in its provenance."""
+    notes = run.provenance.get("notes", ())
+    if not isinstance(notes, (list, tuple)):
+        return ()
+    return tuple(" ".join(str(note).split()) for note in notes)
 
 
 def _state_text(space: StateSpace, state: FloatArray) -> str:

@@ -22,11 +22,13 @@ from pipelines.dataset.dataset import (
     poses_at_images,
 )
 from pipelines.geometry.camera import Camera
+from pipelines.geometry.planarity import check_planar
 from pipelines.lightfield.bundle import load_scene
 from pipelines.lightfield.devices import resolved_device
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.description import RunSummary
 from pipelines.localize.localizer import Localizer, region_of
+from pipelines.localize.map_heights import notes_on_heights
 from pipelines.localize.pnp import PnpLocalizer
 from pipelines.localize.pnp_frames import beside, pnp_record
 from pipelines.localize.run import FrameRecord, Run, relative_scene_path, save_run
@@ -142,12 +144,15 @@ def localize_dataset(
         reconstruction_path: how errors name it.
 
     Raises:
-        InputError: the data set lacks camera, mount or odometry, or an image cannot be read.
+        InputError: the data set lacks camera, mount or odometry, its odometry is not that of a
+            robot on a floor, or an image cannot be read.
     """
     space = settings.state_space
     camera, mount = _camera_and_mount(dataset, space)
     mask = None if dataset.mask is None else dataset.mask.used
-    check_odometry(dataset, settings, odometry_source)
+    notes = list(check_odometry(dataset, settings, odometry_source))
+    if space.angles == 1:
+        notes += notes_on_heights(scene, float(mount[2, 3]))
     body_poses = None
     if dataset.odometry is not None:
         body_poses = poses_at_images(dataset, dataset.odometry, odometry_source)
@@ -189,23 +194,40 @@ def localize_dataset(
         encoded_images=tuple(dataset.read_image_bytes(index) for index in range(len(dataset))),
         odometry=None if body_poses is None else space.states(body_poses),
         groundtruth=_groundtruth_states(dataset, space),
-        provenance=record,
+        provenance={**record, "notes": notes} if notes else record,
     )
 
 
-def check_odometry(dataset: Dataset, settings: LocalizerSettings, source: Path) -> None:
-    """Refuses to filter a planar robot's drive without odometry.
+def check_odometry(dataset: Dataset, settings: LocalizerSettings, source: Path) -> tuple[str, ...]:
+    """Refuses to filter a planar robot's drive without odometry, or with that of something else.
+
+    Returns:
+        Lines on what is suspicious about the odometry.
 
     Raises:
-        InputError: there is none; ``source`` is named.
+        InputError: there is none, or no robot on a floor moves like this; ``source`` is named.
     """
-    is_planar = settings.state_space.angles == 1
-    if dataset.odometry is None and is_planar and settings.method == "filter":
+    if settings.state_space.angles != 1:
+        return ()
+    if dataset.odometry is None and settings.method == "filter":
         raise InputError(
             source,
             "is missing: a planar robot is localized with odometry",
             "give the file with --odometry",
         )
+    if dataset.odometry is None:
+        return ()
+    nearest = dataset.odometry.nearest(dataset.timestamps, PAIRING_TOLERANCE)
+    if not np.any(nearest >= 0):
+        return ()
+    try:
+        note = check_planar(dataset.odometry.poses[nearest[nearest >= 0]], source)
+    except InputError as error:
+        if settings.method == "filter":
+            raise
+        # Poses by features do without; the odometry is only shown beside them.
+        note = str(error)
+    return () if note is None else (note,)
 
 
 def _locator(

@@ -1,5 +1,6 @@
 """The stage ``reconstruct``: a data set in, a folder of posed images out."""
 
+import logging
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,8 +13,9 @@ from pipelines.artifacts.atomic import check_output
 from pipelines.artifacts.errors import InputError, OptionError, StageError
 from pipelines.artifacts.progress import Progress
 from pipelines.artifacts.provenance import provenance, sha256_of_bytes, sha256_of_file
-from pipelines.dataset.dataset import Dataset, load_dataset
+from pipelines.dataset.dataset import ODOMETRY_FILE, Dataset, load_dataset
 from pipelines.dataset.images import decode_image
+from pipelines.geometry.planarity import check_planar, check_quaternion_order
 from pipelines.geometry.pose import inverse, planar_state_of
 from pipelines.reconstruct.alignment import Similarity, align_by_convention, align_to_odometry
 from pipelines.reconstruct.description import ReconstructionSummary
@@ -34,6 +36,8 @@ from pipelines.reconstruct.settings import ReconstructSettings
 from pipelines.reconstruct.sfm import index_of, structure_from_motion
 
 __all__ = ["ReconstructSettings", "reconstruct"]
+
+_log = logging.getLogger(__name__)
 
 
 def reconstruct(
@@ -66,6 +70,7 @@ def reconstruct(
             "has no odometry.txt or no [mount] in camera.toml, and --planar needs both",
             "without --planar the camera moves freely",
         )
+    _check_movement(data, settings.planar)
     if settings.method == "sfm":
         result = _from_images(data, settings, progress)
         if settings.planar:
@@ -79,6 +84,19 @@ def reconstruct(
     record = provenance("reconstruct", settings.to_dict(), _inputs(data, settings, result))
     save_reconstruction(output, result, record, overwrite)
     return ReconstructionSummary(output, result)
+
+
+def _check_movement(data: Dataset, planar: bool) -> None:
+    """Refuses a robot's odometry that has another order of quaternions, or leaves the floor."""
+    if data.odometry is None or data.base_from_camera is None:
+        return
+    source = data.root / ODOMETRY_FILE
+    if not planar:
+        check_quaternion_order(data.odometry.poses, source)
+        return
+    note = check_planar(data.odometry.poses, source, "without --planar the camera moves freely")
+    if note is not None:
+        _log.warning("%s", note)
 
 
 def _from_known_poses(

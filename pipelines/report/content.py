@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from pipelines.lightfield.scene import Scene
+from pipelines.localize.description import notes_of
 from pipelines.localize.run import PNP_ESTIMATE, Run
 from pipelines.report.docking import ANIMATION_CAPTION, CAPTION, docking_verdict
 from pipelines.report.figures import Content
@@ -67,7 +68,7 @@ def page_of(
             f"seed {run.seed}, scene of {len(scene)} views ({run.scene_path})"
         ),
         tables=[_error_table(tracks), _course_table(run)],
-        notes=_notes(tracks),
+        notes=[*(f"Note: {note}." for note in notes_of(run)), *_notes(tracks)],
         pictures=[_picture(name, png, content) for name, png in figures.items()],
         details=_details(run, scene, scene_origin),
     )
