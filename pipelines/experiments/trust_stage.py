@@ -56,7 +56,7 @@ def study_trust(
     check_output(output, overwrite, TABLE)
     rows = rows_of(chosen.conditions, workers=workers, progress=progress)
     with atomic_folder(output, overwrite, TABLE) as folder:
-        write_reliability(folder / FIGURE, sums_of(rows))
+        write_reliability(folder / FIGURE, sums_of(rows) or rows)
         (folder / VALUES).write_text(as_json(rows, chosen.skipped), encoding="utf-8")
         (folder / TABLE).write_text(as_markdown(rows, chosen.skipped), encoding="utf-8")
     return chosen

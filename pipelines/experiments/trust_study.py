@@ -64,6 +64,7 @@ class Row:
         is_elsewhere: whether the images show another place.
         successes: how many runs succeeded; None where none can.
         trust: the frames of all runs.
+        is_of_single_frames: whether each run is one frame, started around its true pose.
     """
 
     name: str
@@ -72,6 +73,7 @@ class Row:
     is_elsewhere: bool
     successes: int | None
     trust: Trust
+    is_of_single_frames: bool = False
 
 
 @dataclass(frozen=True)
@@ -154,6 +156,7 @@ def row_of(task: Task) -> Row:
         condition.is_elsewhere,
         None if condition.is_elsewhere else successes,
         pooled(parts),
+        is_of_single_frames=condition.starts > 0,
     )
 
 

@@ -32,7 +32,7 @@ EXPLANATION = (
     "with status tracking whose truth lies where the stated covariance says. ECE: expected "
     "calibration error, ten bins, of the confidence as the probability of being close: within 0.1 "
     "m and 3 degrees. Sure: frames with a confidence of 0.9 or more; of them those that are not "
-    "close, and those that are wrong."
+    "close, and those that are wrong. The sums leave out single frames with a given start."
 )
 IN_THE_MAP, ELSEWHERE, ALL = "all, in the map", "all, elsewhere", "all"
 
@@ -40,13 +40,15 @@ IN_THE_MAP, ELSEWHERE, ALL = "all, in the map", "all, elsewhere", "all"
 def sums_of(rows: Sequence[Row]) -> tuple[Row, ...]:
     """What the rows of a method come to together: those in the map, those elsewhere, and all.
 
-    Runs with other degrees of freedom have sums of their own.
+    Single frames are left out: their start is given. Runs with other degrees of freedom have sums
+    of their own.
     """
-    keys = dict.fromkeys((row.method, row.trust.degrees_of_freedom) for row in rows)
+    drives = [row for row in rows if not row.is_of_single_frames]
+    keys = dict.fromkeys((row.method, row.trust.degrees_of_freedom) for row in drives)
     found = []
     for method, freedom in keys:
         own = [
-            row for row in rows if (row.method, row.trust.degrees_of_freedom) == (method, freedom)
+            row for row in drives if (row.method, row.trust.degrees_of_freedom) == (method, freedom)
         ]
         suffix = "" if freedom == 3 else f", {freedom} degrees of freedom"
         for name, is_elsewhere in ((IN_THE_MAP, False), (ELSEWHERE, True), (ALL, None)):
