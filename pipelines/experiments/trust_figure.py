@@ -34,9 +34,7 @@ def write_reliability(path: Path, rows: Sequence[Row]) -> None:
 def reliability_figure(rows: Sequence[Row]) -> Figure:
     """The figure: reliability above, numbers of frames below."""
     figure = Figure(figsize=(PANEL_WIDTH * len(rows) + 0.4, HEIGHT), layout="constrained")
-    grid = figure.subplots(
-        2, len(rows), squeeze=False, sharex=True, height_ratios=[3.0, 1.0], sharey="row"
-    )
+    grid = figure.subplots(2, len(rows), squeeze=False, sharex=True, height_ratios=[3.0, 1.0])
     for (upper, lower), row in zip(grid.T, rows, strict=True):
         bins = row.trust.reliability()
         upper.plot([0.0, 1.0], [0.0, 1.0], color="grey", linewidth=0.8)

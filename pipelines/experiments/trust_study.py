@@ -130,9 +130,9 @@ def row_of(task: Task) -> Row:
     """
     condition = task.condition
     scene = load_scene(condition.scene)
-    own = task.odometry == NO_ODOMETRY
-    dataset = load_dataset(condition.dataset, odometry=None if own else task.odometry)
-    if own:
+    is_without = task.odometry == NO_ODOMETRY
+    dataset = load_dataset(condition.dataset, odometry=None if is_without else task.odometry)
+    if is_without:
         dataset = replace(dataset, odometry=None)
     settings = replace(condition.settings, threads=task.threads)
     if task.method == "pnp":
