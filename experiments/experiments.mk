@@ -11,6 +11,12 @@
 #   scenes, sample_data/SET/test/*, sweeps/SWEEP.toml     -> out/experiments/SWEEP/table.md
 #   scene of elevators, its test drive                    -> out/experiments/RUN/report/report.html
 #   sample_data/elevators, settings/elevators/doors.toml  -> out/experiments/view-dependence/
+#
+# On demand, not by 'make experiments':
+#
+#   sample_data/elevators/test                            -> out/experiments/troubles/
+#   scenes, drives, conditions/trust.toml                 -> out/experiments/trust/table.md
+#   scene of elevators, DAYS=FOLDER, conditions/days.toml -> out/experiments/days/table.md
 
 EXPERIMENTS := out/experiments
 SETTINGS := experiments/settings
@@ -86,6 +92,26 @@ $(APPEARANCE)/study/table.md: $(TRUE_MAPS)/elevators/scene.h5 $(SETTINGS)/elevat
 		$(call images,elevators,test) $(DATA)/elevators/test/groundtruth.txt \
 		experiments/view_dependence.py | $(STAMP)
 	$(VIEW_DEPENDENCE) $< $(SETTINGS)/elevators/doors.toml $(DATA)/elevators/test -o $(@D)
+
+# Whether status and confidence can be trusted: in the map, in trouble, in another place.
+TROUBLES := $(EXPERIMENTS)/troubles/troubles.json
+TROUBLE := $(VENV_PYTHON) experiments/troubles.py
+TRUST := $(VENV_PYTHON) experiments/trust.py
+TRUST_WORKERS := 2
+# make out/experiments/days/table.md DAYS=FOLDER: where the drives of other days are.
+DAYS :=
+trust = $(TRUST) $< -o $(@D) --workers $(TRUST_WORKERS) $(if $(SEEDS),--seeds $(SEEDS))
+
+$(TROUBLES): $(call images,elevators,test) $(wildcard $(DATA)/elevators/test/odometry*.txt) \
+		$(DATA)/elevators/test/groundtruth.txt experiments/troubles.py | $(STAMP)
+	$(TROUBLE) $(DATA)/elevators/test -o $(@D)
+
+$(EXPERIMENTS)/trust/table.md: experiments/conditions/trust.toml $(SETS:%=$(EXPERIMENTS)/%/scene.h5) \
+		$(DISTURBED) $(TROUBLES) $(foreach set,$(SETS),$(call images,$(set),test)) FORCE | $(STAMP)
+	$(trust)
+
+$(EXPERIMENTS)/days/table.md: experiments/conditions/days.toml $(EXPERIMENTS)/elevators/scene.h5 FORCE | $(STAMP)
+	$(trust) $(if $(DAYS),--data $(DAYS))
 
 # Runs and scenes are results, not stepping stones that may be deleted.
 .SECONDARY:

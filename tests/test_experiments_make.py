@@ -29,6 +29,8 @@ case $command in
     report) output=$output/report.html ;;
     sweep | view-dependence) output=$output/table.md ;;
     robustness) output=$output/disturbed.json ;;
+    trust) output=$output/table.md ;;
+    troubles) output=$output/troubles.json ;;
 esac
 mkdir -p "$(dirname "$output")"
 echo made > "$output"
@@ -69,8 +71,8 @@ class Workspace:
             state = path.stat()
             os.utime(path, ns=(state.st_atime_ns - 10**12, state.st_mtime_ns - 10**12))
 
-    def make(self, *arguments: str) -> list[str]:
-        """Runs ``make experiments`` and returns the calls of lfnav that it made."""
+    def make(self, *arguments: str, target: str = "experiments") -> list[str]:
+        """Runs ``make``, and returns the calls of lfnav that it made."""
         log = self.root / "calls.log"
         log.unlink(missing_ok=True)
         # MAKEFLAGS of the make that runs these tests would change what this one does.
@@ -82,8 +84,10 @@ class Workspace:
         overrides = [f"LFNAV={self.stand_in}", "STAMP=", f"VENV_PYTHON={sys.executable}"]
         overrides.append(f"VIEW_DEPENDENCE={self.stand_in} view-dependence")
         overrides.append(f"ROBUSTNESS={self.stand_in} robustness")
+        overrides.append(f"TROUBLE={self.stand_in} troubles")
+        overrides.append(f"TRUST={self.stand_in} trust")
         result = subprocess.run(
-            ["make", "experiments", *overrides, *arguments],
+            ["make", target, *overrides, *arguments],
             cwd=self.root,
             env=environment,
             capture_output=True,
@@ -232,6 +236,19 @@ def test_ground_truth_is_no_input_of_a_map_that_is_localized_in(built: Workspace
 def test_the_parts_of_a_study_are_its_own(built: Workspace) -> None:
     built.change("experiments/settings/elevators/doors.toml")
     assert commands(built.make()) == [*SWEEPS, "view-dependence"]
+
+
+def test_the_study_of_trust_is_made_on_demand(built: Workspace) -> None:
+    table = "out/experiments/trust/table.md"
+    calls = built.make("SEEDS=0-1", target=table)
+    assert commands(calls) == ["troubles", "trust"]
+    assert "trust experiments/conditions/trust.toml -o out/experiments/trust" in calls[-1]
+    assert calls[-1].endswith("--seeds 0-1")
+    # A program that has changed shows in no file's time: asked for, it is made.
+    assert commands(built.make(target=table)) == ["trust"]
+    (days,) = built.make("DAYS=some/folder", target="out/experiments/days/table.md")
+    assert days.startswith("trust experiments/conditions/days.toml -o out/experiments/days")
+    assert days.endswith("--data some/folder")
 
 
 def test_a_failed_stage_stops_and_is_tried_again(built: Workspace) -> None:

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from pipelines.artifacts.errors import InputError, OptionError
-from pipelines.experiments.sweep_config import parse_seeds, read_sweep_config
+from pipelines.experiments.config_tables import parse_seeds
+from pipelines.experiments.sweep_config import read_sweep_config
 from pipelines.lightfield.comparison import Cost
 from pipelines.localize.likelihood import LIKELIHOODS
 from pipelines.localize.stage import NO_ODOMETRY

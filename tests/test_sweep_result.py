@@ -76,6 +76,18 @@ def test_confidence_where_images_show_nothing_stands_apart() -> None:
     assert (seeing.frames_blind, seeing.confidence_blind) == (0, None)
 
 
+def test_frames_are_right_silent_or_wrong() -> None:
+    found = result([5.0, 0.2, 0.05, None, 0.05, 0.05])
+    assert (found.frames_right, found.frames_silent, found.frames_wrong) == (4, 1, 1)
+    assert found.wrong_at_the_end
+    assert not result([5.0] + [0.05] * 10).wrong_at_the_end
+    counts, totals, hits = np.array(found.confidence_sums).T
+    # Lost frames say 0.1, the others 0.9; three are within 10 cm.
+    assert counts.tolist() == [0, 1, 0, 0, 0, 0, 0, 0, 0, 5]
+    assert totals[[1, 9]] == pytest.approx([0.1, 4.5])
+    assert hits.tolist() == [0] * 9 + [3]
+
+
 def test_the_first_frame_is_a_search_unless_the_start_was_known() -> None:
     run = wall_run(statuses="ttgttl")
     frames = tuple(

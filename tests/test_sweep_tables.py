@@ -40,6 +40,12 @@ GOOD = RunResult(
     seconds_per_frame=0.75,
     seconds_while_searching=1.0,
     seconds_while_tracking=0.125,
+    frames_right=18,
+    frames_silent=2,
+    frames_wrong=0,
+    wrong_at_the_end=False,
+    # 2 frames that say 5 % and are never close, 18 that say 95 % and nearly always are.
+    confidence_sums=((2.0, 0.1, 0.0), *((0.0, 0.0, 0.0),) * 8, (18.0, 17.1, 17.0)),
 )
 WRONG = replace(
     GOOD,
@@ -48,6 +54,11 @@ WRONG = replace(
     heading_error_deg=40.0,
     frames_until_converged=None,
     frames_to_recover=None,
+    frames_right=0,
+    frames_silent=5,
+    frames_wrong=15,
+    wrong_at_the_end=True,
+    confidence_sums=((5.0, 0.0, 0.0), *((0.0, 0.0, 0.0),) * 8, (15.0, 15.0, 0.0)),
 )
 LOST = replace(
     WRONG,
@@ -118,6 +129,10 @@ def test_csv_and_json_say_the_same() -> None:
     assert (first["successes"], first["success_rate"]) == (2, pytest.approx(2 / 3))
     assert (first["position_error_m_q50"], first["position_error_m_q90"]) == (0.02, None)
     assert (first["in_95_region"], first["good_at_the_end"]) == (0.9, 2)
+    assert (first["right_share"], first["wrong_share"]) == (36 / 60, 15 / 60)
+    assert (first["silent_share"], first["wrong_at_the_end"]) == (9 / 60, 1)
+    assert first["calibration_error"] == pytest.approx((0.2 + (17.1 - 17.0) * 2 + 15.0) / 60)
+    assert second["calibration_error"] is None
     assert first["close_share"] == pytest.approx(1.9 / 3.0)
     assert (second["runs"], second["broken"], second["success_rate"]) == (0, 1, None)
     for row, line in zip(csv.DictReader(as_csv(LINES).splitlines()), content["lines"], strict=True):
@@ -132,7 +147,7 @@ def test_markdown_is_a_table_that_names_what_broke() -> None:
     assert len({row.count("|") for row in rows}) == 1
     assert "| lobby | odometry.txt | informed | robust | 195 | 2 of 3 | 21 to 94 % |" in rows[2]
     assert "| 2.0, never | 0.50, never | 2.5, never | 0.40, never | 2, never |" in rows[2]
-    assert rows[2].endswith("| 2 of 3 | 1, never | 90 % | 0.250 |")
+    assert rows[2].endswith("| 2 of 3 | 1, never | 90 % | 60, 15, 25 | 1 of 3 | 0.26 | 0.250 |")
     assert "| a/b | " in rows[3]
     assert "0 of 0 (1 broke)" in rows[3]
     assert "Runs that broke: 1." in text
@@ -163,11 +178,18 @@ def test_results_are_read_as_they_were_written(result: RunResult) -> None:
 @pytest.mark.parametrize("name", GOOD.to_dict())
 @pytest.mark.parametrize("value", ["", [], {}])
 def test_results_of_another_kind_are_refused(name: str, value: Any) -> None:
-    good = GOOD.to_dict()
+    good = json.loads(json.dumps(GOOD.to_dict()))
     without = {key: item for key, item in good.items() if key != name}
     for values in ({**good, name: value}, without):
         with pytest.raises(InputError, match=name):
             RunResult.of_json(JsonFields(Path("x.json"), values))
+
+
+@pytest.mark.parametrize("sums", [[[1.0, 2.0, 3.0]], [["a", 0, 0]] * 10, [[math.inf, 0, 0]] * 10])
+def test_sums_of_another_shape_are_refused(sums: list[list[Any]]) -> None:
+    values = {**GOOD.to_dict(), "confidence_sums": sums}
+    with pytest.raises(InputError, match="confidence_sums"):
+        RunResult.of_json(JsonFields(Path("x.json"), values))
 
 
 def test_figures_show_every_line(tmp_path: Path) -> None:

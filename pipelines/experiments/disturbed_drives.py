@@ -59,6 +59,8 @@ class Disturbance:
         jumps: numbers of the frames, in the new order, before which the robot was carried away.
         altered: the image in the place of a frame's, given its number in the new order and the
             recorded one; None: the recorded one stays.
+        shown: frames of the recorded drive whose images are shown, where these are not ``order``.
+        has_truth: whether the images show the place at all; else the data set gets no true poses.
     """
 
     name: str
@@ -66,6 +68,8 @@ class Disturbance:
     order: tuple[int, ...]
     jumps: frozenset[int]
     altered: Alteration
+    shown: tuple[int, ...] | None = None
+    has_truth: bool = True
 
 
 def disturbances(frames: int) -> tuple[Disturbance, ...]:
@@ -159,23 +163,62 @@ def write_disturbed_drives(
         InputError: the drive cannot be used, lacks something or is too short, or the output cannot
             be written.
     """
+    return write_drives(
+        drive,
+        output,
+        disturbances,
+        RECORD,
+        fewest_frames=FRAMES_BEFORE + FRAMES_AFTER,
+        overwrite=overwrite,
+        progress=progress,
+    )
+
+
+def write_drives(
+    drive: Path,
+    output: Path,
+    kinds_of: Callable[[int], Sequence[Disturbance]],
+    record_name: str,
+    *,
+    fewest_frames: int,
+    overwrite: bool,
+    progress: Progress,
+) -> tuple[Path, ...]:
+    """Writes a data set for each of some disturbances below a folder.
+
+    Args:
+        drive: the recorded drive, with ground truth, camera and odometry.
+        output: the folder; appears whole or not at all.
+        kinds_of: the disturbances of a drive of so many frames.
+        record_name: file in the folder that says what they are; also tells that it is such a one.
+        fewest_frames: that a drive has to have.
+        overwrite: whether one of an earlier time may be replaced.
+        progress: told how far the work is.
+
+    Returns:
+        The data sets' folders.
+
+    Raises:
+        InputError: the drive cannot be used, lacks something or is too short, or the output cannot
+            be written.
+    """
     dataset = load_dataset(drive)
     if dataset.groundtruth is None:
         raise InputError(drive / GROUNDTRUTH_FILE, "is missing: nothing could be judged without it")
-    if len(dataset) < FRAMES_BEFORE + FRAMES_AFTER:
-        reason = f"has {len(dataset)} frames, fewer than {FRAMES_BEFORE + FRAMES_AFTER}"
+    if len(dataset) < fewest_frames:
+        reason = f"has {len(dataset)} frames, fewer than {fewest_frames}"
         raise InputError(drive, reason, "give a longer drive")
     truth = poses_at_images(dataset, dataset.groundtruth, drive / GROUNDTRUTH_FILE)
     odometry = {
         path.name: poses_at_images(dataset, read_tum(path), path)
         for path in sorted(drive.glob(ODOMETRY_FILES))
     }
-    kinds = disturbances(len(dataset))
-    with atomic_folder(output, overwrite, RECORD) as folder:
+    kinds = kinds_of(len(dataset))
+    with atomic_folder(output, overwrite, record_name) as folder:
         for kind in progress(kinds, "drives", len(kinds)):
             _write(folder / kind.name, dataset, kind, truth, odometry)
         record = {"source": drive.name, "drives": {kind.name: kind.meaning for kind in kinds}}
-        (folder / RECORD).write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+        (folder / record_name).write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
     return tuple(output / kind.name for kind in kinds)
 
 
@@ -190,7 +233,7 @@ def _write(
     (folder / "rgb").mkdir(parents=True)
     times = dataset.timestamps[: len(kind.order)]
     names = []
-    for number, source in enumerate(kind.order):
+    for number, source in enumerate(kind.order if kind.shown is None else kind.shown):
         altered = kind.altered(number, dataset.read_image(source))
         suffix = PurePosixPath(dataset.image_names[source]).suffix if altered is None else ".png"
         names.append(f"rgb/{number:04d}{suffix}")
@@ -201,7 +244,7 @@ def _write(
     for name in (CAMERA_FILE, MASK_FILE):
         if (dataset.root / name).is_file():
             shutil.copyfile(dataset.root / name, folder / name)
-    paths = {GROUNDTRUTH_FILE: truth[list(kind.order)]}
+    paths = {GROUNDTRUTH_FILE: truth[list(kind.order)]} if kind.has_truth else {}
     for name, poses in odometry.items():
         paths[name] = odometry_with_jumps(poses, kind.order, kind.jumps)
     for name, poses in paths.items():

@@ -25,8 +25,6 @@ as far as they have a meaning: method ``pnp`` has neither strategy nor particles
 proposal, and only the strategy ``informed`` takes proposals.
 """
 
-import re
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
@@ -34,7 +32,16 @@ from pathlib import Path
 from typing import Any
 
 from pipelines.artifacts.errors import InputError, OptionError
-from pipelines.artifacts.toml_file import read_toml, type_name
+from pipelines.artifacts.toml_file import read_toml
+from pipelines.experiments.config_tables import (
+    MAX_RUNS,
+    absolute_path,
+    checked_list,
+    checked_table,
+    named_seeds,
+    read_seeds,
+    refuse_twice,
+)
 from pipelines.localize.config import (
     Choices,
     check_choices,
@@ -57,7 +64,6 @@ VARIED = {
     "particles": "particles",
 }
 SWEEP_KEYS = ("seeds", *VARIED)
-MAX_RUNS = 100_000
 
 
 @dataclass(frozen=True)
@@ -106,7 +112,7 @@ def read_sweep_config(path: Path, seeds: str | None = None) -> SweepConfig:
         OptionError: ``seeds`` names no seeds.
     """
     content = read_toml(path)
-    sweep = _table(path, content.get("sweep", {}), "[sweep]", SWEEP_KEYS)
+    sweep = checked_table(path, content.get("sweep", {}), "[sweep]", SWEEP_KEYS)
     tables = content.get("dataset", [])
     if not isinstance(tables, list) or not tables:
         raise InputError(path, "names no data set", "write [[dataset]] and its keys below")
@@ -114,59 +120,14 @@ def read_sweep_config(path: Path, seeds: str | None = None) -> SweepConfig:
         _dataset(path, f"data set {number}", table) for number, table in enumerate(tables, start=1)
     )
     names = [dataset.name for dataset in datasets]
-    _refuse_twice(path, "two data sets have the same name", names)
+    refuse_twice(path, "two data sets have the same name", names)
     rest = {key: value for key, value in content.items() if key not in {"sweep", "dataset"}}
-    chosen_seeds = _seeds(path, sweep) if seeds is None else _named_seeds(seeds)
+    chosen_seeds = read_seeds(path, "[sweep]", sweep) if seeds is None else named_seeds(seeds)
     config = SweepConfig(datasets, chosen_seeds, _settings(path, rest, sweep))
     runs = len(config.seeds) * len(config.settings) * sum(len(data.odometry) for data in datasets)
     if runs > MAX_RUNS:
         raise InputError(path, f"asks for {runs} runs; at most {MAX_RUNS} are made")
     return config
-
-
-def parse_seeds(text: str) -> tuple[int, ...]:
-    """``"0-19"`` is 0 to 19, both included; ``"3,4,8"`` are those three.
-
-    Raises:
-        ValueError: anything else.
-    """
-    span = re.fullmatch(r"\s*(\d{1,18})\s*-\s*(\d{1,18})\s*", text)
-    if span is None:
-        return tuple(int(part) for part in text.split(",") if _is_seed(part))
-    first, last = int(span[1]), int(span[2])
-    if not 0 <= last - first < MAX_RUNS:
-        raise ValueError(f"from {first} to {last} are not 1 to {MAX_RUNS} seeds")
-    return tuple(range(first, last + 1))
-
-
-def _is_seed(text: str) -> bool:
-    if not re.fullmatch(r"\s*\d{1,18}\s*", text):
-        raise ValueError(f"{text.strip()!r} is no seed")
-    return True
-
-
-def _named_seeds(text: str) -> tuple[int, ...]:
-    try:
-        return tuple(dict.fromkeys(parse_seeds(text)))
-    except ValueError as error:
-        raise OptionError(f"seeds {text!r}: {error}; give 0-19 or 3,4,8") from error
-
-
-def _seeds(path: Path, sweep: Mapping[str, Any]) -> tuple[int, ...]:
-    value = sweep.get("seeds")
-    if value is None:
-        raise InputError(path, "[sweep] seeds is missing", 'write seeds = "0-19", for example')
-    if isinstance(value, str):
-        try:
-            seeds = list(parse_seeds(value))
-        except ValueError as error:
-            raise InputError(path, f"[sweep] seeds: {error}", 'write "0-19" or a list') from error
-    else:
-        seeds = _list(path, "[sweep] seeds", value)
-        if not all(type(seed) is int and 0 <= seed < 2**63 for seed in seeds):
-            raise InputError(path, "[sweep] seeds are not whole numbers from 0 on")
-    _refuse_twice(path, "[sweep] seeds", seeds)
-    return tuple(seeds)
 
 
 def _settings(
@@ -180,12 +141,12 @@ def _settings(
         if name not in sweep:
             continue
         key = next(key for key in KEYS if key.field == field)
-        values = _list(path, f"[sweep] {name}", sweep[name])
+        values = checked_list(path, f"[sweep] {name}", sweep[name])
         try:
             varied[field] = [key.parsed(value) for value in values]
         except ValueError as error:
             raise InputError(path, f"[sweep] {name} {error}") from error
-        _refuse_twice(path, f"[sweep] {name}", varied[field])
+        refuse_twice(path, f"[sweep] {name}", varied[field])
     combinations = []
     for combination in product(*varied.values()):
         chosen = _with_a_meaning(base, dict(zip(varied, combination, strict=True)))
@@ -213,50 +174,21 @@ def _with_a_meaning(base: Choices, varied: Choices) -> Choices:
 
 
 def _dataset(path: Path, place: str, table: Any) -> SweepDataset:
-    values = _table(path, table, place, DATASET_KEYS)
+    values = checked_table(path, table, place, DATASET_KEYS)
     for key in ("scene", "path"):
         if key not in values:
             raise InputError(path, f"{place}: {key} is missing")
     for key in ("name", "scene", "path"):
         if not isinstance(values.get(key, "-"), str) or not values.get(key, "-").strip():
             raise InputError(path, f"{place}: {key} is not a text")
-    scene, root = (_absolute(path.parent, values[key]) for key in ("scene", "path"))
+    scene, root = (absolute_path(path.parent, values[key]) for key in ("scene", "path"))
     odometry: tuple[Path | None, ...] = (None,)
     if "odometry" in values:
-        files = _list(path, f"{place}: odometry", values["odometry"])
+        files = checked_list(path, f"{place}: odometry", values["odometry"])
         if not all(isinstance(file, str) and file for file in files):
             raise InputError(path, f"{place}: odometry is not a list of file names")
-        _refuse_twice(path, f"{place}: odometry", files)
+        refuse_twice(path, f"{place}: odometry", files)
         odometry = tuple(
-            NO_ODOMETRY if file == str(NO_ODOMETRY) else _absolute(root, file) for file in files
+            NO_ODOMETRY if file == str(NO_ODOMETRY) else absolute_path(root, file) for file in files
         )
     return SweepDataset(values.get("name", "/".join(root.parts[-2:])), scene, root, odometry)
-
-
-def _absolute(folder: Path, name: str) -> Path:
-    return (folder / name).absolute()
-
-
-def _table(path: Path, value: Any, place: str, known: tuple[str, ...]) -> Mapping[str, Any]:
-    if not isinstance(value, dict):
-        raise InputError(path, f"{place} is {type_name(value)}, expected a table")
-    for key in value:
-        if key not in known:
-            reason = f"unknown key {key!r} in {place}"
-            raise InputError(path, reason, f"known are {', '.join(known)}")
-    return value
-
-
-def _list(path: Path, place: str, value: Any) -> list[Any]:
-    """A list that holds something; a single value stands for a list of one."""
-    values = value if isinstance(value, list) else [value]
-    if not values:
-        raise InputError(path, f"{place} is empty")
-    return values
-
-
-def _refuse_twice(path: Path, place: str, values: list[Any]) -> None:
-    value, count = Counter(values).most_common(1)[0]
-    if count > 1:
-        text = getattr(value, "name", str(value)).lower()
-        raise InputError(path, f"{place}: {text} is there twice")

@@ -7,9 +7,13 @@ from typing import Any
 import numpy as np
 
 from pipelines.artifacts.array_types import BoolArray, FloatArray
+from pipelines.artifacts.errors import InputError
 from pipelines.artifacts.json_fields import JsonFields
+from pipelines.localize.calibration import BINS
 from pipelines.localize.evaluation import RunEvaluation, evaluate_run
 from pipelines.localize.run import Run
+from pipelines.localize.state_errors import known_states
+from pipelines.localize.trust import trust_of
 
 # A drive has settled from this frame on, counted from 0.
 SETTLED = 4
@@ -47,6 +51,12 @@ class RunResult:
         seconds_while_searching: mean over the frames of the global search: the first, where the
             start is anywhere, and those whose status is "global"; None where there are none.
         seconds_while_tracking: mean over the others in which one mode was followed; likewise.
+        frames_right: frames with a truth that track the right place (``localize.trust``).
+        frames_silent: those that track none.
+        frames_wrong: those that track another one.
+        wrong_at_the_end: whether one of the last ten frames is wrong.
+        confidence_sums: for each bin of confidence the number of frames with a truth, the sum of
+            their confidences, and how many have an estimate as close as the confidence speaks of.
     """
 
     success: bool
@@ -68,6 +78,11 @@ class RunResult:
     seconds_per_frame: float
     seconds_while_searching: float | None
     seconds_while_tracking: float | None
+    frames_right: int
+    frames_silent: int
+    frames_wrong: int
+    wrong_at_the_end: bool
+    confidence_sums: tuple[tuple[float, ...], ...]
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON types."""
@@ -100,6 +115,11 @@ class RunResult:
             seconds_per_frame=values.number("seconds_per_frame"),
             seconds_while_searching=_number(values, "seconds_while_searching"),
             seconds_while_tracking=_number(values, "seconds_while_tracking"),
+            frames_right=values.get("frames_right", int),
+            frames_silent=values.get("frames_silent", int),
+            frames_wrong=values.get("frames_wrong", int),
+            wrong_at_the_end=values.get("wrong_at_the_end", bool),
+            confidence_sums=_sums(values, "confidence_sums"),
         )
 
 
@@ -121,6 +141,7 @@ def judged(run: Run, cpu_seconds: float) -> RunResult:
         heading = evaluation.errors.heading_error_deg
         errors = np.nan_to_num([position.per_frame, heading.per_frame], nan=np.inf)
     has_truth = _has_truth(run)
+    trust = trust_of(run, _truth(run))
     settled = _medians(errors[:, SETTLED:][:, has_truth[SETTLED:]])
     blind = [frame.confidence for frame in run.frames if frame.status == "blind"]
     seeing = [frame.confidence for frame in run.frames if frame.status != "blind"]
@@ -149,6 +170,11 @@ def judged(run: Run, cpu_seconds: float) -> RunResult:
         seconds_per_frame=float(np.mean(seconds)),
         seconds_while_searching=_mean(seconds[searched]),
         seconds_while_tracking=_mean(seconds[(statuses == "tracking") & ~searched]),
+        frames_right=int(np.count_nonzero(trust.right)),
+        frames_silent=int(np.count_nonzero(trust.silent)),
+        frames_wrong=int(np.count_nonzero(trust.wrong)),
+        wrong_at_the_end=trust.runs_wrong_at_the_end > 0,
+        confidence_sums=tuple(tuple(sums) for sums in trust.confidence_sums().tolist()),
     )
 
 
@@ -158,6 +184,18 @@ def _number(values: JsonFields, key: str) -> float | None:
 
 def _count(values: JsonFields, key: str) -> int | None:
     return None if values.values.get(key, 0) is None else values.get(key, int)
+
+
+def _sums(values: JsonFields, key: str) -> tuple[tuple[float, ...], ...]:
+    """``(BINS, 3)`` finite numbers."""
+    rows = values.get(key, list)
+    try:
+        table = np.array(rows, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(values.path, f"{key} holds something else than numbers") from error
+    if table.shape != (BINS, 3) or not np.all(np.isfinite(table)):
+        raise InputError(values.path, f"{key} is not a table of {BINS} rows of 3 numbers")
+    return tuple(tuple(row) for row in table.tolist())
 
 
 def _medians(errors: FloatArray) -> list[float | None]:
@@ -193,9 +231,14 @@ def _has_estimate(run: Run) -> bool:
 
 def _has_truth(run: Run) -> BoolArray:
     """Frames ``(N,)`` whose truth is known."""
+    return known_states(_truth(run))
+
+
+def _truth(run: Run) -> FloatArray:
+    """True states ``(N, D)``, NaN where they are unknown."""
     if run.groundtruth is None:
-        return np.zeros(len(run.frames), dtype=np.bool_)
-    return np.asarray(np.all(np.isfinite(run.groundtruth), axis=1), dtype=np.bool_)
+        return np.full((len(run.frames), run.space.dimension), np.nan)
+    return run.groundtruth
 
 
 def _share_in_region(evaluation: RunEvaluation | None) -> float | None:

@@ -13,6 +13,7 @@ from scipy.stats import binomtest
 
 from pipelines.experiments.sweep_result import RunResult
 from pipelines.experiments.sweep_run import Setup
+from pipelines.localize.trust import pooled_calibration_error
 
 CONFIDENCE = 0.95
 # The share of runs that are no worse.
@@ -32,6 +33,9 @@ MEASURES = (
 )
 # Measures of which it has the mean over the runs.
 MEANS = ("in_95_region", "close_share", "frames_blind", "confidence", "confidence_blind")
+
+# Frames that track the right place, none, or another one.
+KINDS = ("right", "silent", "wrong")
 
 
 @dataclass(frozen=True)
@@ -88,6 +92,24 @@ class Line:
         """How many runs were good in their last frame: found again, if they were ever lost."""
         return sum(result.frames_to_recover is not None for result in self.results)
 
+    @property
+    def wrong_at_the_end(self) -> int:
+        """How many runs have a wrong frame among their last ten."""
+        return sum(result.wrong_at_the_end for result in self.results)
+
+    def frame_share(self, kind: str) -> float:
+        """Share of the frames with a truth that are ``right``, ``silent`` or ``wrong``; or NaN."""
+        frames = sum(result.frames for result in self.results)
+        found = sum(int(getattr(result, f"frames_{kind}")) for result in self.results)
+        return found / frames if frames else math.nan
+
+    @property
+    def calibration_error(self) -> float:
+        """ECE of the confidence over the frames of all runs; NaN where there are none."""
+        return pooled_calibration_error(
+            [np.array(result.confidence_sums) for result in self.results]
+        )
+
     def mean(self, measure: str) -> float:
         """Mean over the runs that have a value; NaN where none has."""
         values = [getattr(result, measure) for result in self.results]
@@ -107,6 +129,8 @@ class Line:
                 for share in QUANTILES
             },
             **{measure: self.mean(measure) for measure in MEANS},
+            **{f"{kind}_share": self.frame_share(kind) for kind in KINDS},
+            "calibration_error": self.calibration_error,
         }
         return {
             **asdict(self.setup),
@@ -114,6 +138,7 @@ class Line:
             "broken": self.broken,
             "successes": self.successes,
             "good_at_the_end": self.good_at_the_end,
+            "wrong_at_the_end": self.wrong_at_the_end,
             **{name: value if math.isfinite(value) else None for name, value in figures.items()},
         }
 
@@ -165,6 +190,9 @@ HEADINGS = (
     "good at the end",
     "frames to recover",
     "in 95 % region",
+    "right, silent, wrong (%)",
+    "wrong at the end",
+    "ECE",
     "CPU s a frame",
 )
 EXPLANATION = (
@@ -174,7 +202,11 @@ EXPLANATION = (
     "Converged: frames before the first from which the estimate stays within these bounds. Good "
     "at the end: within them in the last frame; to recover: how long the estimate was outside of "
     "them in between. In 95 % region: frames after convergence whose truth lies where the stated "
-    "covariance says, mean of the runs. CPU seconds: processor time of all, median of the runs."
+    "covariance says, mean of the runs. Right: frames of all runs with status tracking within "
+    "0.3 m and 10 degrees; wrong: other frames with this status; silent: the rest. Wrong at the "
+    "end: runs with a wrong frame among their last ten. ECE: expected calibration error of the "
+    "confidence as the probability of being within 0.1 m and 3 degrees, frames of all runs. CPU "
+    "seconds: processor time of all, median of the runs."
 )
 BLIND_HEADINGS = (
     "data set",
@@ -225,6 +257,9 @@ def _row(line: Line) -> tuple[str, ...]:
         f"{line.good_at_the_end} of {runs}",
         _two(line, "frames_to_recover", 1.0, 0),
         _share(line.mean("in_95_region")),
+        ", ".join(_figure(100.0 * line.frame_share(kind), 0) for kind in KINDS),
+        f"{line.wrong_at_the_end} of {runs}",
+        _figure(line.calibration_error, 2),
         _figure(line.quantile("cpu_seconds_per_frame", 0.5), 3),
     )
 

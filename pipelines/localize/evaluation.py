@@ -24,7 +24,9 @@ from pipelines.localize.consistency import (
     frames_until_converged,
 )
 from pipelines.localize.run import PNP_ESTIMATE, STAND_INS, Run, load_run
+from pipelines.localize.state_errors import known_states, state_errors
 from pipelines.localize.state_space import StateSpace
+from pipelines.localize.trust import Trust, trust_of
 
 LAST_FRAMES = 5
 SUCCESS_POSITION_M = 0.15
@@ -166,6 +168,7 @@ class RunEvaluation:
             enough for success; None where it never was.
         frames_to_recover: length of every stretch of worse frames between good ones.
         consistency: errors after convergence against the covariances that were stated, or None.
+        trust: what the frames state, status and confidence, held against the truth.
         particles: their number in the last frame.
         seconds_per_frame: mean wall time, all stages together, without PnP where that only ran
             beside the filter.
@@ -182,6 +185,7 @@ class RunEvaluation:
     frames_until_converged: int | None
     frames_to_recover: tuple[int, ...]
     consistency: Consistency | None
+    trust: Trust
     particles: int
     seconds_per_frame: float
 
@@ -228,6 +232,7 @@ class RunEvaluation:
             rows.append(("frames to recover, each time", lengths))
         if self.consistency is not None:
             rows += self.consistency.rows()
+        rows += self.trust.rows()
         rows.append(("particles in the last frame", str(self.particles)))
         rows.append(("seconds a frame", f"{self.seconds_per_frame:.3f}"))
         return rows
@@ -246,6 +251,7 @@ class RunEvaluation:
             "frames_until_converged": self.frames_until_converged,
             "frames_to_recover": list(self.frames_to_recover),
             "consistency": None if self.consistency is None else self.consistency.to_dict(),
+            "trust": self.trust.to_dict(),
             "particles": self.particles,
             "seconds_per_frame": self.seconds_per_frame,
         }
@@ -289,10 +295,10 @@ def evaluate_run(
         OptionError: the run has no estimate of this name.
     """
     truth = _true_states(run, groundtruth, run_path, groundtruth_path)
-    has_truth = _known(truth)
+    has_truth = known_states(truth)
     name = run.default_estimate if estimate is None else estimate
     estimated = run.estimated_states(estimate)
-    has_estimate = _known(estimated)
+    has_estimate = known_states(estimated)
     own = np.array([name in frame.estimates for frame in run.frames])
     if not np.any(has_truth & has_estimate):
         raise InputError(run_path, f"no frame with ground truth has an estimate {name!r}")
@@ -320,6 +326,7 @@ def evaluate_run(
         consistency=consistency_of(run, name, truth, followed)
         if name in run.own_estimate_names
         else None,
+        trust=trust_of(run, truth, estimate),
         particles=len(run.frames[-1].particles),
         seconds_per_frame=float(np.mean(run.frame_seconds)),
     )
@@ -332,7 +339,7 @@ def _evaluate_pnp(run: Run, truth: FloatArray) -> PnpEvaluation | None:
     errors = None
     if any(noted):
         states = run.estimated_states(PNP_ESTIMATE)
-        if np.any(_known(states) & _known(truth)):
+        if np.any(known_states(states) & known_states(truth)):
             errors = _evaluate_track(run.space, states, truth)
     seconds = [frame.seconds.get(PNP_ESTIMATE, 0.0) for frame in run.frames]
     return PnpEvaluation(errors, sum(noted), len(run.frames), float(np.mean(seconds)))
@@ -357,9 +364,9 @@ def odometry_states(run: Run, groundtruth: FloatArray | None = None) -> FloatArr
     if run.odometry is None:
         raise OptionError("the run has no odometry")
     anchors = run.groundtruth if groundtruth is None else groundtruth
-    if anchors is None or not np.any(_known(anchors)):
+    if anchors is None or not np.any(known_states(anchors)):
         anchors = run.estimated_states()
-    first = int(np.flatnonzero(_known(anchors))[0])
+    first = int(np.flatnonzero(known_states(anchors))[0])
     poses = run.space.poses(run.odometry)
     motions = np.stack([run.space.increment(poses[first], pose) for pose in poses])
     return run.space.composed(anchors[first], motions)
@@ -373,7 +380,7 @@ def _true_states(
 ) -> FloatArray:
     """True states ``(N, 3)``, NaN where there is none; at least one is known."""
     if groundtruth is None:
-        if run.groundtruth is None or not np.any(_known(run.groundtruth)):
+        if run.groundtruth is None or not np.any(known_states(run.groundtruth)):
             raise InputError(
                 run_path, "carries no ground truth", "give a TUM file with --groundtruth"
             )
@@ -399,38 +406,18 @@ def is_good(position_errors: FloatArray, heading_errors: FloatArray) -> BoolArra
     return np.asarray(small, dtype=np.bool_)
 
 
-def state_errors(
-    space: StateSpace, states: FloatArray, truth: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Distances ``(N,)`` in metres and angles ``(N,)`` in radians between states and the truth.
-
-    NaN where either is unknown.
-    """
-    distances, angles = np.full((2, len(states)), np.nan)
-    known = _known(states) & _known(truth)
-    if np.any(known):
-        offsets = space.difference(states[known], truth[known])
-        distances[known] = np.linalg.norm(offsets[:, : space.positions], axis=1)
-        angles[known] = np.linalg.norm(offsets[:, space.positions :], axis=1)
-    return distances, angles
-
-
 def _evaluate_track(space: StateSpace, states: FloatArray, truth: FloatArray) -> TrackEvaluation:
     position_errors, angle_errors = state_errors(space, states, truth)
     position = ErrorStatistics(position_errors)
     heading = ErrorStatistics(np.degrees(angle_errors))
     # Frames in which nothing was estimated must not make room for better ones before them.
-    last = states[_known(truth)][-LAST_FRAMES:]
+    last = states[known_states(truth)][-LAST_FRAMES:]
     success = (
-        bool(np.all(_known(last)))
+        bool(np.all(known_states(last)))
         and position.last5_mean < SUCCESS_POSITION_M
         and heading.last5_mean < SUCCESS_HEADING_DEG
     )
     return TrackEvaluation(position, heading, success)
-
-
-def _known(states: FloatArray) -> BoolArray:
-    return np.asarray(np.all(np.isfinite(states), axis=1), dtype=np.bool_)
 
 
 def _yes_or_no(value: bool) -> str:

@@ -1,0 +1,246 @@
+"""Runs under many conditions, and whether what they state can be trusted."""
+
+import multiprocessing
+import os
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from pipelines.artifacts.errors import InputError, LfnavError, OptionError, StageError
+from pipelines.artifacts.progress import Progress, no_progress
+from pipelines.dataset.dataset import (
+    GROUNDTRUTH_FILE,
+    ODOMETRY_FILE,
+    PAIRING_TOLERANCE,
+    Dataset,
+    load_dataset,
+)
+from pipelines.experiments.sweep_result import judged
+from pipelines.experiments.trust_conditions import Condition
+from pipelines.lightfield.bundle import load_scene
+from pipelines.lightfield.scene import Scene
+from pipelines.localize.run import Run
+from pipelines.localize.settings import LocalizerSettings
+from pipelines.localize.stage import NO_ODOMETRY, localize_dataset
+from pipelines.localize.trust import Trust, pooled, trust_elsewhere, trust_of
+
+
+@dataclass(frozen=True)
+class Task:
+    """What one process does at a time: all runs of a row of the table.
+
+    Attributes:
+        condition: drive and circumstances.
+        odometry: one of its files.
+        method: one of its methods.
+        threads: of the filter.
+    """
+
+    condition: Condition
+    odometry: Path | None
+    method: str
+    threads: int
+
+    @property
+    def odometry_name(self) -> str:
+        """What the table calls the odometry; that of single frames is not used."""
+        if self.method == "pnp" or self.condition.starts:
+            return "-"
+        return ODOMETRY_FILE if self.odometry is None else self.odometry.name
+
+
+@dataclass(frozen=True)
+class Row:
+    """What the runs of a task came to.
+
+    Attributes:
+        name: of the condition.
+        odometry: name of the file.
+        method: ``filter`` or ``pnp``.
+        is_elsewhere: whether the images show another place.
+        successes: how many runs succeeded; None where none can.
+        trust: the frames of all runs.
+        is_of_single_frames: whether each run is one frame, started around its true pose.
+    """
+
+    name: str
+    odometry: str
+    method: str
+    is_elsewhere: bool
+    successes: int | None
+    trust: Trust
+    is_of_single_frames: bool = False
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    """Of a task; one of the two is known, since not every error survives between processes."""
+
+    row: Row | None
+    failure: str | None = None
+
+
+def rows_of(
+    conditions: Sequence[Condition], *, workers: int, progress: Progress
+) -> tuple[Row, ...]:
+    """Makes all runs.
+
+    Args:
+        conditions: of which each gives a row for each odometry file and method.
+        workers: processes; 1: this one.
+        progress: told how far the work is.
+
+    Raises:
+        OptionError: no workers.
+        StageError: a condition cannot be run; says which and why.
+    """
+    if workers < 1:
+        raise OptionError(f"{workers} workers cannot do any work; give at least 1")
+    threads = max(1, len(os.sched_getaffinity(0)) // workers)
+    tasks = tasks_of(conditions, threads)
+    rows = []
+    outcomes = _outcomes(tasks, workers)
+    for task, outcome in zip(tasks, progress(outcomes, "conditions", len(tasks)), strict=True):
+        if outcome.row is None:
+            raise StageError(f"{task.condition.name}, {task.odometry_name}: {outcome.failure}")
+        rows.append(outcome.row)
+    return tuple(rows)
+
+
+def tasks_of(conditions: Sequence[Condition], threads: int) -> tuple[Task, ...]:
+    """The rows of the table: PnP uses no odometry, and has one however many files there are."""
+    return tuple(
+        Task(condition, odometry, method, threads)
+        for condition in conditions
+        for method in condition.methods
+        for odometry in (condition.odometry[:1] if method == "pnp" else condition.odometry)
+    )
+
+
+def row_of(task: Task) -> Row:
+    """Makes the runs of a task, with scene and data set loaded once.
+
+    Raises:
+        InputError: an input cannot be used.
+        OptionError: settings that make no sense for this scene.
+    """
+    condition = task.condition
+    scene = load_scene(condition.scene)
+    is_without = task.odometry == NO_ODOMETRY
+    dataset = load_dataset(condition.dataset, odometry=None if is_without else task.odometry)
+    if is_without:
+        dataset = replace(dataset, odometry=None)
+    settings = replace(condition.settings, threads=task.threads)
+    if task.method == "pnp":
+        settings = replace(
+            settings, method="pnp", with_pnp=False, proposal="appearance", start=None
+        )
+    source = condition.dataset / ODOMETRY_FILE if task.odometry is None else task.odometry
+    successes, parts = 0, []
+    for run in _runs(scene, dataset, settings, task, source):
+        if condition.is_elsewhere:
+            parts.append(trust_elsewhere(run))
+            continue
+        if run.groundtruth is None or not np.any(np.isfinite(run.groundtruth)):
+            raise InputError(condition.dataset / GROUNDTRUTH_FILE, "has no pose at any image")
+        successes += judged(run, 0.0).success
+        parts.append(trust_of(run, run.groundtruth))
+    return Row(
+        condition.name,
+        task.odometry_name,
+        task.method,
+        condition.is_elsewhere,
+        None if condition.is_elsewhere else successes,
+        pooled(parts),
+        is_of_single_frames=condition.starts > 0,
+    )
+
+
+def disturbed_starts(
+    dataset: Dataset, settings: LocalizerSettings, starts: int, seeds: Sequence[int]
+) -> Iterator[tuple[Dataset, LocalizerSettings, int]]:
+    """Single frames, each with starts that are drawn around its true pose.
+
+    Args:
+        dataset: with ground truth; frames without a true pose are left out.
+        settings: how far away starts lie, which is also what the filter is told.
+        starts: of each frame and seed.
+        seeds: of what is drawn.
+
+    Yields:
+        A data set of one frame, settings with its start, and a seed for the filter.
+    """
+    if dataset.groundtruth is None:
+        return
+    space = settings.state_space
+    nearest = dataset.groundtruth.nearest(dataset.timestamps, PAIRING_TOLERANCE)
+    sigmas = np.array(
+        [settings.start_position_sigma] * space.positions
+        + [settings.start_heading_sigma] * space.angles
+    )
+    for seed in seeds:
+        for frame in np.flatnonzero(nearest >= 0):
+            truth = space.states(dataset.groundtruth.poses[nearest[[frame]]])
+            rng = np.random.default_rng([seed, int(frame)])
+            noise = sigmas * rng.standard_normal((starts, space.dimension))
+            for number, start in enumerate(space.moved(np.repeat(truth, starts, axis=0), noise)):
+                single = replace(
+                    dataset,
+                    image_names=(dataset.image_names[frame],),
+                    timestamps=dataset.timestamps[[frame]],
+                    depth_names=None,
+                )
+                chosen = replace(settings, start=tuple(map(float, start)))
+                yield single, chosen, seed * starts + number
+
+
+def _runs(
+    scene: Scene, dataset: Dataset, settings: LocalizerSettings, task: Task, source: Path
+) -> Iterator[Run]:
+    condition = task.condition
+    # The same image has the same pose by features, whatever the seed.
+    seeds = condition.seeds[:1] if task.method == "pnp" else condition.seeds
+    chosen: Iterator[tuple[Dataset, LocalizerSettings, int]] = (
+        (dataset, settings, seed) for seed in seeds
+    )
+    if condition.starts:
+        chosen = disturbed_starts(dataset, settings, condition.starts, seeds)
+    for frames, own, seed in chosen:
+        yield localize_dataset(
+            scene,
+            frames,
+            own,
+            seed=seed,
+            odometry_source=source,
+            scene_path=str(condition.scene),
+            record={},
+            progress=no_progress,
+        )
+
+
+def _outcome(task: Task) -> _Outcome:
+    try:
+        return _Outcome(row_of(task))
+    except (LfnavError, OSError) as error:
+        return _Outcome(None, " ".join(str(error).split()))
+    except MemoryError:
+        return _Outcome(None, "out of memory")
+
+
+def _outcomes(tasks: Sequence[Task], workers: int) -> Iterator[_Outcome]:
+    if workers == 1:
+        yield from map(_outcome, tasks)
+        return
+    # Not forked, since compiled code and threads do not survive that.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=context) as pool:
+        try:
+            yield from pool.map(_outcome, tasks)
+        except BrokenProcessPool as error:
+            raise StageError(
+                "a process was ended from outside; often that means that memory ran out"
+            ) from error
