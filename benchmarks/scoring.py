@@ -21,7 +21,7 @@ from pipelines.lightfield.proxy import Quality
 from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.likelihood import LIKELIHOODS, ONE_PIXEL_IN, Comparison
-from pipelines.localize.localizer import VIEW_RESOLUTION_FACTOR
+from pipelines.localize.measurement_model import VIEW_RESOLUTION_FACTOR
 from pipelines.localize.observation import Observation, Observer
 from pipelines.localize.state_space import PLANAR
 

@@ -88,7 +88,7 @@ def test_memory_is_that_of_the_arrays(tmp_path: Path, resolution: str, with_dept
 
 
 def test_the_resolution_of_localization_is_its_default() -> None:
-    from pipelines.localize.localizer import VIEW_RESOLUTION_FACTOR
+    from pipelines.localize.measurement_model import VIEW_RESOLUTION_FACTOR
     from pipelines.localize.settings import LocalizerSettings
 
     assert VIEW_RESOLUTION_FACTOR * LocalizerSettings().fine_width == LOCALIZE_SIDE

@@ -29,7 +29,8 @@ from pipelines.geometry.camera import Undistorter
 from pipelines.lightfield.proxy import Quality, quality_named
 from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.scene import Scene
-from pipelines.localize.localizer import VIEW_RESOLUTION_FACTOR, Localizer
+from pipelines.localize.localizer import Localizer
+from pipelines.localize.measurement_model import VIEW_RESOLUTION_FACTOR, MeasurementModel
 from pipelines.localize.run import FrameRecord
 from pipelines.localize.settings import LocalizerSettings
 
@@ -129,9 +130,11 @@ def equipment_of(
         chosen.device,
     )
 
+    model = MeasurementModel.of_scene(scene, robot.base_from_camera, chosen)
+
     def localizer_of(start: tuple[float, ...] | None) -> Localizer:
         own = replace(chosen, start=start)
-        return Localizer(scene, robot.camera, robot.base_from_camera, own, rng, renderer, mask)
+        return Localizer(scene, robot.camera, robot.base_from_camera, own, rng, model, mask)
 
     intrinsics = Undistorter(robot.camera).intrinsics
     explorer = Explorer(renderer, robot.base_from_camera, intrinsics, safety)

@@ -16,10 +16,10 @@ from pipelines.artifacts.errors import InputError
 from pipelines.dataset.dataset import CAMERA_FILE, GROUNDTRUTH_FILE, Dataset
 from pipelines.lightfield.comparison import compare, prepared
 from pipelines.lightfield.compiled import compiled
-from pipelines.lightfield.renderer import Renderer
+from pipelines.lightfield.renderer import NO_TABLE, Renderer
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.likelihood import LIKELIHOODS
-from pipelines.localize.localizer import VIEW_RESOLUTION_FACTOR
+from pipelines.localize.measurement_model import VIEW_RESOLUTION_FACTOR
 from pipelines.localize.observation import Observer, lattice
 from pipelines.localize.state_space import PLANAR
 
@@ -153,5 +153,6 @@ def _costs(
     weighted = query.copy()
     weighted[..., 3] *= weights
     views = np.concatenate([images, covered[..., None].astype(np.float32)], axis=3)
-    costs = [_cost(int(likelihood.cost), view, weighted, likelihood.fit_gain) for view in views]
+    kind, fit_gain = int(likelihood.cost), likelihood.fit_gain
+    costs = [_cost(kind, view, weighted, fit_gain, NO_TABLE) for view in views]
     return np.array(costs)

@@ -3,9 +3,14 @@
 All costs share one signature, so that the filter can use any. The paper compares pixel by pixel
 (``squared``, section 6); the others stand beside it for light that changes (``zncc``, ``gradient``)
 and for things that are not in the model (``robust``). A pixel that no view covers costs as much as
-a bad one, so that looking at nothing never wins.
+a bad one there, so that looking at nothing never wins.
+
+``evidence`` is of another kind: each pixel adds what its difference says for "the map shows this
+here" against "the map does not", as a table of logarithms has it (``pixel_evidence``). A pixel that
+no view covers says nothing and adds 0, so that looking at nothing earns nothing.
 """
 
+from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
@@ -22,12 +27,14 @@ class Cost(IntEnum):
     ROBUST: mean absolute colour difference, each limited to ``ROBUST_LIMIT``, relative to that.
     ZNCC: (1 - zero-mean normalised cross-correlation) / 2, over all three channels together.
     GRADIENT: mean absolute difference of horizontal and vertical gradients, limited like ROBUST.
+    EVIDENCE: minus the sum of the pixels' logarithms of a likelihood ratio; not limited to [0, 1].
     """
 
     SQUARED = 0
     ROBUST = 1
     ZNCC = 2
     GRADIENT = 3
+    EVIDENCE = 4
 
 
 # Grey levels of 255. Differences beyond the limit are "something else", however large.
@@ -40,12 +47,41 @@ UNCOVERED_ZNCC = 0.5
 UNCOVERED_GRADIENT = 0.5
 # Gains beyond this factor are no exposure change but another place.
 LARGEST_GAIN = 1.5
+# Of EVIDENCE: differences, summed over the channels, are told apart in bins of so many levels, and
+# count as the last one's beyond it; pixels by how strong they are, in so many rows.
+EVIDENCE_BINS, EVIDENCE_ROWS = 24, 8
+EVIDENCE_BIN = 10.0
 
 
 # Numbers (four a pixel) that are added up in single precision, before the sum is kept in double.
 BLOCK = 1024
 ZERO, ONE = np.float32(0.0), np.float32(1.0)
 LIMIT = np.float32(ROBUST_LIMIT)
+
+
+@dataclass(frozen=True)
+class PixelEvidence:
+    """What the difference of a pixel says for "the map shows this here" against "it does not".
+
+    Attributes:
+        edges: ``(EVIDENCE_ROWS - 1,)`` rising: strengths of a pixel between the rows. The strength
+            is how far its channels are from 128, summed up.
+        table: ``(EVIDENCE_ROWS, EVIDENCE_BINS)`` logarithms of the likelihood ratio of a difference
+            in each bin, for a pixel of each row's strength.
+    """
+
+    edges: Float32Array
+    table: Float32Array
+
+    def rows(self, channels: Float32Array) -> Float32Array:
+        """The row ``(...)``, 0 to EVIDENCE_ROWS - 1, of pixels ``(..., 3)``."""
+        strengths = pixel_strength(channels)
+        return np.searchsorted(self.edges, strengths, side="right").astype(np.float32)
+
+
+def pixel_strength(channels: Float32Array) -> Float32Array:
+    """How far the channels of pixels ``(..., 3)`` are from 128, summed up: ``(...)``."""
+    return np.asarray(np.abs(channels - np.float32(128.0)).sum(axis=-1), dtype=np.float32)
 
 
 def prepared(query: ImageArray | Float32Array) -> Float32Array:
@@ -90,19 +126,25 @@ def _known(query: ImageArray | Float32Array) -> BoolArray:
 
 
 @compiled_part
-def compare(kind: int, image: Float32Array, query: Float32Array, fit_gain: bool) -> float:
+def compare(
+    kind: int, image: Float32Array, query: Float32Array, fit_gain: bool, table: Float32Array
+) -> float:
     """The cost of one rendered view.
 
     Args:
         kind: a ``Cost``.
         image: (H, W, 4) rendered, 0 to 255, and 1 where covered, else 0.
-        query: (H, W, 4) camera image, see ``prepared``.
+        query: (H, W, 4) camera image, see ``prepared``. For EVIDENCE its last number is, where the
+            pixel is to be compared, 1 and the pixel's row of the table.
         fit_gain: whether one brightness factor is fitted first.
+        table: (EVIDENCE_ROWS * EVIDENCE_BINS,) row by row; of EVIDENCE alone.
 
     Returns:
-        Cost in [0, 1]; smaller is better.
+        Cost, in [0, 1] but for EVIDENCE; smaller is better.
     """
     a, b = image.reshape(-1), query.reshape(-1)
+    if kind == 4:
+        return _evidence_cost(a, b, table)
     if kind == 2:
         return _correlation(a, b)
     gain = ONE
@@ -221,6 +263,24 @@ def _correlation(image: Float32Array, query: Float32Array) -> float:
     if variance_a > n and variance_b > n:
         correlation = (ab - a1 * b1 / n) / np.sqrt(variance_a * variance_b)
     return float(share * (1.0 - correlation) / 2.0 + (1.0 - share) * UNCOVERED_ZNCC)
+
+
+@compiled_leaf
+def _evidence_cost(image: Float32Array, query: Float32Array, table: Float32Array) -> float:
+    total = 0.0
+    scale = np.float32(1.0 / EVIDENCE_BIN)
+    largest = np.float32(EVIDENCE_BINS - 1)
+    for i in range(len(image) // 4):
+        if image[4 * i + 3] * query[4 * i + 3] > ZERO:
+            difference = (
+                abs(image[4 * i] - query[4 * i])
+                + abs(image[4 * i + 1] - query[4 * i + 1])
+                + abs(image[4 * i + 2] - query[4 * i + 2])
+            )
+            column = int(min(difference * scale, largest))
+            row = int(query[4 * i + 3]) - 1
+            total -= float(table[row * EVIDENCE_BINS + column])
+    return total
 
 
 @compiled_leaf

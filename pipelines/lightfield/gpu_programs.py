@@ -143,6 +143,8 @@ def cost_constants() -> dict[str, Constant]:
         "UNCOVERED_ZNCC": comparison.UNCOVERED_ZNCC,
         "UNCOVERED_GRADIENT": comparison.UNCOVERED_GRADIENT,
         "LARGEST_GAIN": comparison.LARGEST_GAIN,
+        "EVIDENCE_BIN": comparison.EVIDENCE_BIN,
+        "EVIDENCE_BINS": comparison.EVIDENCE_BINS,
     }
 
 

@@ -19,7 +19,7 @@ from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray,
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
 from pipelines.lightfield.blending import Blending
-from pipelines.lightfield.comparison import Cost
+from pipelines.lightfield.comparison import Cost, PixelEvidence
 from pipelines.lightfield.gpu_device import (
     UNIFORM,
     Gpu,
@@ -42,7 +42,7 @@ from pipelines.lightfield.gpu_work import (
     tiles_of,
 )
 from pipelines.lightfield.proxy import Quality, cell_size, usual_inverse_depth
-from pipelines.lightfield.renderer import Renderer, Rendering, check_query
+from pipelines.lightfield.renderer import Renderer, Rendering, check_query, evidence_table
 from pipelines.lightfield.views import Views
 
 POSE_BYTES = 48
@@ -141,11 +141,15 @@ class GpuRenderer(Renderer):
         query: ImageArray | Float32Array,
         cost: Cost,
         fit_gain: bool,
+        evidence: PixelEvidence | None = None,
     ) -> FloatArray:
         """Compares the views rendered at many poses with one image; see ``Renderer.costs``."""
         check_query(query, intrinsics)
+        table = evidence_table(cost, evidence)
         sizes = self._sizes(intrinsics, needs_two_passes(cost, fit_gain))
         photo = photo_of(query)
+        if evidence is not None:
+            photo.pixels[..., 3] *= 1.0 + evidence.rows(photo.pixels[..., :3])
         result = np.empty(len(world_from_camera))
         with self._lock, card_errors():
             program = self._comparison(cost, fit_gain)
@@ -153,7 +157,8 @@ class GpuRenderer(Renderer):
             settings["compared"] = photo.compared
             settings["compared_pairs"] = photo.compared_pairs
             settings["middle"] = photo.middle
-            pixels = self._written("photo", photo.pixels)
+            # The table of evidence stands behind the pixels.
+            pixels = self._written("photo", np.append(photo.pixels.reshape(-1), table))
             for start in range(0, len(result), POSES_KEPT):
                 own = slice(start, start + POSES_KEPT)
                 result[own] = self._scored(program, sizes, settings, world_from_camera[own], pixels)

@@ -201,6 +201,7 @@ def render_tiles(
     query: Float32Array,
     kind: int,
     fit_gain: bool,
+    table: Float32Array,
     images: Float32Array,
     costs: FloatArray,
 ) -> None:
@@ -215,6 +216,7 @@ def render_tiles(
         query: camera image, see ``comparison.prepared``: (H, W, 4) or, of some pixels, (1, P, 4).
         kind: a ``Cost``, or ``NO_COMPARISON``.
         fit_gain: whether a brightness factor is fitted before the comparison.
+        table: of EVIDENCE, see ``comparison.compare``; else empty.
         images: (B, H, W, 4), or (B, 1, P, 4), receives RGB in 0 to 255, and 1 where any view shows
             the pixel; all zero elsewhere. For a comparison one is enough.
         costs: (B,) receives the costs.
@@ -242,7 +244,7 @@ def render_tiles(
         )
         _show(field, pose, intrinsics, cells, width, surface, space, image)
         if kind != NO_COMPARISON:
-            costs[index] = compare(kind, image, query, fit_gain)
+            costs[index] = compare(kind, image, query, fit_gain, table)
 
 
 @compiled
@@ -255,6 +257,7 @@ def render_nets(
     query: Float32Array,
     kind: int,
     fit_gain: bool,
+    table: Float32Array,
     images: Float32Array,
     costs: FloatArray,
 ) -> None:
@@ -268,4 +271,4 @@ def render_nets(
         cells = set_net(field, pose, intrinsics, surface, width, space)
         _show(field, pose, intrinsics, cells, width, surface, space, image)
         if kind != NO_COMPARISON:
-            costs[index] = compare(kind, image, query, fit_gain)
+            costs[index] = compare(kind, image, query, fit_gain, table)

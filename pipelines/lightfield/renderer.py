@@ -20,7 +20,7 @@ from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
 from pipelines.lightfield.aligned_memory import aligned
 from pipelines.lightfield.blending import Blending, outlook_positions, tile_borders
-from pipelines.lightfield.comparison import Cost, prepared, prepared_pixels
+from pipelines.lightfield.comparison import Cost, PixelEvidence, prepared, prepared_pixels
 from pipelines.lightfield.devices import Device, chosen_gpu
 from pipelines.lightfield.kernels import NO_COMPARISON, render_nets, render_tiles
 from pipelines.lightfield.proxy import SOURCE_VIEWS, Quality, cell_size, usual_inverse_depth
@@ -41,6 +41,8 @@ POSES_TOGETHER = 256
 PIXELS_TOGETHER = 80_000
 # Their surfaces are kept for a moment.
 SURFACE_PIXELS_TOGETHER = 320_000
+ONE = np.float32(1.0)
+NO_TABLE = np.empty(0, dtype=np.float32)
 
 
 @dataclass(frozen=True)
@@ -147,14 +149,19 @@ class Renderer:
         quality: Quality = Quality.PLANE,
         threads: int | None = None,
         device: Device = Device.CPU,
+        views: Views | None = None,
     ) -> "Renderer":
         """A renderer of a scene's photos, area-averaged to ``largest_side`` pixels at most.
+
+        ``views`` are rendered in the place of the scene's own photos where they are given: the same
+        photos in other channels.
 
         Raises:
             OptionError: as for the class; a device that is not there or cannot do it.
         """
         gpu = chosen_gpu(device)
-        views = views_of_scene(scene, largest_side)
+        if views is None:
+            views = views_of_scene(scene, largest_side)
         if gpu is not None:
             from pipelines.lightfield.gpu_renderer import GpuRenderer
 
@@ -221,6 +228,7 @@ class Renderer:
         query: ImageArray | Float32Array,
         cost: Cost,
         fit_gain: bool,
+        evidence: PixelEvidence | None = None,
     ) -> FloatArray:
         """Compares the views rendered at many poses with one camera image.
 
@@ -230,14 +238,17 @@ class Renderer:
             query: ``(H, W, 3)`` camera image, RGB, undistorted; NaN where it is not to be compared.
             cost: the kind of comparison.
             fit_gain: whether a brightness factor is fitted for each pose.
+            evidence: what differences say; of EVIDENCE alone, and needed there.
 
         Returns:
-            ``(M,)`` costs in [0, 1].
+            ``(M,)`` costs, in [0, 1] but for EVIDENCE.
 
         Raises:
-            OptionError: the image has another size than its intrinsics.
+            OptionError: the image has another size than its intrinsics, or EVIDENCE without a
+                table.
         """
         check_query(query, intrinsics)
+        table = evidence_table(cost, evidence)
         poses = np.ascontiguousarray(world_from_camera, dtype=np.float64)
         costs = np.empty(len(poses))
         # Gradients are differences between neighbours; else what is not compared is not rendered.
@@ -245,13 +256,17 @@ class Renderer:
             chosen, target = every_pixel(intrinsics), prepared(query)
         else:
             chosen, target = prepared_pixels(query)
+        if evidence is not None:
+            target[..., 3] *= ONE + evidence.rows(target[..., :3])
         surfaces = self._surfaces(poses, intrinsics, chosen)
         vector, kind = intrinsics.vector(), int(cost)
 
         def score(part: slice) -> None:
             image = aligned(target.size, np.float32).reshape((1, *target.shape))
             own, result = surfaces(part), costs[part]
-            self._render(poses[part], vector, own, chosen, target, kind, fit_gain, image, result)
+            self._render(
+                poses[part], vector, own, chosen, target, kind, fit_gain, table, image, result
+            )
 
         pixels = intrinsics.width * intrinsics.height
         together = max(1, min(POSES_TOGETHER, SURFACE_PIXELS_TOGETHER // pixels))
@@ -274,7 +289,9 @@ class Renderer:
         chosen = every_pixel(intrinsics)
         surfaces = self._surfaces(poses, intrinsics, chosen)(slice(None))
         vector, kind = intrinsics.vector(), NO_COMPARISON
-        self._render(poses, vector, surfaces, chosen, no_query, kind, False, images, no_costs)
+        self._render(
+            poses, vector, surfaces, chosen, no_query, kind, False, NO_TABLE, images, no_costs
+        )
         return images, surfaces
 
     def _surfaces(
@@ -320,6 +337,7 @@ class Renderer:
         query: Float32Array,
         kind: int,
         fit_gain: bool,
+        table: Float32Array,
         images: Float32Array,
         costs: FloatArray,
     ) -> None:
@@ -327,7 +345,19 @@ class Renderer:
         render = render_nets if self._field.is_net else render_tiles
         field = self._field
         with self._spaces.one_for(surfaces.shape[2], surfaces.shape[1], chosen) as space:
-            render(field, poses, intrinsics, surfaces, space, query, kind, fit_gain, images, costs)
+            render(
+                field,
+                poses,
+                intrinsics,
+                surfaces,
+                space,
+                query,
+                kind,
+                fit_gain,
+                table,
+                images,
+                costs,
+            )
 
     def _run(self, work: Callable[[slice], None], count: int, most: int) -> None:
         """Does work on all of so many poses: at most so many in one call, some for every thread."""
@@ -359,6 +389,17 @@ def _surface_pixels(intrinsics: Intrinsics, chosen: Int32Array) -> Int32Array:
     for positions in (tile_borders, outlook_positions, frustum_positions):
         is_needed[np.ix_(positions(intrinsics.height), positions(intrinsics.width))] = True
     return np.flatnonzero(is_needed).astype(np.int32)
+
+
+def evidence_table(cost: Cost, evidence: PixelEvidence | None) -> Float32Array:
+    """What the comparison looks up: a table for EVIDENCE, nothing for any other cost.
+
+    Raises:
+        OptionError: EVIDENCE without a table, or another cost with one.
+    """
+    if (cost is Cost.EVIDENCE) != (evidence is not None):
+        raise OptionError("the cost EVIDENCE, and no other, takes a table of evidence")
+    return NO_TABLE if evidence is None else evidence.table.reshape(-1)
 
 
 def check_query(query: ImageArray | Float32Array, intrinsics: Intrinsics) -> None:

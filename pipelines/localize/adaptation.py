@@ -1,13 +1,9 @@
-"""What the filter learns while it runs: how odometry errs, and whether images still fit.
+"""What the filter learns while it runs: how odometry errs.
 
 ``OdometryCalibration`` compares the motion between two estimates with what odometry said. What
 errs in the same way all the time (wheels worn down, a bias of the gyroscope) is a linear function
 of the motion, estimated by recursive least squares with forgetting, and is taken off; what is left
 sets the noise of the motion model, up or down.
-
-``ImageFit`` keeps a slow and a fast average of how well the best view explains the image: when the
-fast one falls below the slow one, the robot may be somewhere else (augmented Monte Carlo
-localization; Thrun, Burgard, Fox, *Probabilistic Robotics*, table 8.3).
 """
 
 from dataclasses import dataclass, replace
@@ -25,10 +21,6 @@ NOISE_RATE = 0.2
 # A surprise beyond this is no error of odometry: the estimate has jumped to another place.
 LARGEST_SURPRISE = 25.0
 SMALLEST_NOISE_SCALE, LARGEST_NOISE_SCALE = 0.5, 3.0
-SLOW_RATE, FAST_RATE = 0.1, 0.6
-# The fast average has to fall below this share of the slow one.
-SUSPICIOUS_RATIO = 0.85
-LARGEST_RESET_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -81,32 +73,3 @@ def uncalibrated(dimension: int) -> OdometryCalibration:
     """Odometry about whose errors nothing is known yet."""
     nothing = np.zeros((dimension, dimension))
     return OdometryCalibration(nothing, nothing, 1.0)
-
-
-@dataclass(frozen=True)
-class ImageFit:
-    """Averages of the match between the image and the best view; None before the first image."""
-
-    slow: float | None = None
-    fast: float | None = None
-
-    def with_match(self, match: float) -> "ImageFit":
-        """The averages after one more image."""
-        if self.slow is None or self.fast is None:
-            return ImageFit(match, match)
-        return replace(
-            self,
-            slow=self.slow + SLOW_RATE * (match - self.slow),
-            fast=self.fast + FAST_RATE * (match - self.fast),
-        )
-
-    def reset_share(self, match: float) -> float:
-        """How likely it is that the robot was carried away, after an image with this match.
-
-        0 while the image fits as usual.
-        """
-        then = self.with_match(match)
-        if then.slow is None or then.fast is None or then.slow <= 0.0:
-            return 0.0
-        ratio = then.fast / then.slow
-        return min(1.0 - ratio, LARGEST_RESET_SHARE) if ratio < SUSPICIOUS_RATIO else 0.0

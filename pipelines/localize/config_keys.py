@@ -14,6 +14,7 @@ from typing import Any
 
 from pipelines.artifacts.toml_file import format_value, type_name
 from pipelines.lightfield.blending import Blending
+from pipelines.lightfield.channels import Channels
 from pipelines.lightfield.comparison import Cost
 from pipelines.lightfield.devices import Device
 from pipelines.localize.settings import LocalizerSettings
@@ -248,7 +249,20 @@ KEYS = (
     Key("motion", "heading_floor_deg", "motion.heading_floor", ANGLE, "degrees, each step"),
     Key("motion", "walk_position", "motion.walk_position", NUMBER, "metres, without odometry"),
     Key("motion", "walk_heading_deg", "motion.walk_heading", ANGLE, "degrees, without odometry"),
-    Key("likelihood", "cost", "likelihood.cost", _named(Cost), "squared, robust, zncc, gradient"),
+    Key(
+        "likelihood",
+        "cost",
+        "likelihood.cost",
+        _named(Cost),
+        "evidence, squared, robust, zncc, gradient",
+    ),
+    Key(
+        "likelihood",
+        "channels",
+        "likelihood.channels",
+        _named(Channels),
+        "colour, contrast, gradient",
+    ),
     Key("likelihood", "sharpness", "likelihood.sharpness", NUMBER, "log-likelihood a unit of cost"),
     Key("likelihood", "fit_gain", "likelihood.fit_gain", FLAG, "fit the brightness first"),
     Key("likelihood", "one_pixel_in", "likelihood.one_pixel_in", WHOLE, "compared: 1, 2, 3 or 5"),

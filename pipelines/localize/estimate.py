@@ -1,4 +1,4 @@
-"""From a belief to answers: the likeliest particle, the mean, the modes, and how sure they are.
+"""From a belief to answers: the likeliest particle, the mean, and the modes.
 
 A belief over a symmetric place has several peaks, and their mean is a place where the robot
 certainly is not. ``find_modes`` therefore looks for the peaks themselves. The particles' weights
@@ -25,11 +25,6 @@ from pipelines.localize.state_space import StateSpace, state_space_of_dimension
 MERGE_RATIO = 0.5
 # Along x and along y; beyond it the cells' numbers would no longer fit 64 bits.
 MAX_GRID_CELLS = 1e7
-# Spread of the main cluster, at which confidence has fallen by a factor of exp(-1/2).
-POSITION_SPREAD_SCALE = 0.3
-HEADING_SPREAD_SCALE = float(np.radians(10.0))
-# Number of effective particles, at which confidence has fallen to half.
-EFFECTIVE_SAMPLE_SCALE = 2.0
 
 
 @dataclass(frozen=True)
@@ -127,42 +122,6 @@ def find_modes(
 def modes_table(modes: tuple[Mode, ...]) -> FloatArray:
     """``(K, D + 1)``: state and share of each mode, at least one, in the order given."""
     return np.array([[*mode.state, mode.share] for mode in modes])
-
-
-def confidence(
-    effective_sample_size: float, covariance: FloatArray, main_share: float, image_match: float
-) -> float:
-    """How far the main mode's state can be relied on: a figure of merit, not a probability.
-
-    The product of four factors, each in [0, 1], so that any one of them can deny it: few effective
-    particles, a wide main cluster, weight outside it, a best view that does not explain the image.
-
-    Args:
-        effective_sample_size: of the whole belief.
-        covariance: ``(D, D)`` of the main mode, metres and radians.
-        main_share: the main mode's share of the weight, in [0, 1].
-        image_match: how well the best view explains the image, in [0, 1].
-
-    Raises:
-        OptionError: a value outside its range, or not finite.
-    """
-    for name, value in (("share of the weight", main_share), ("image match", image_match)):
-        if not 0.0 <= value <= 1.0:
-            raise OptionError(f"{name} {value:g} lies outside 0 to 1")
-    if not (np.isfinite(effective_sample_size) and effective_sample_size >= 0.0):
-        raise OptionError(f"effective sample size {effective_sample_size:g} is not 0 or more")
-    if not np.all(np.isfinite(covariance)):
-        raise OptionError("the covariance is not finite")
-    positions = state_space_of_dimension(len(covariance)).positions
-    variances = np.diag(covariance)
-    position_variance = max(0.0, float(variances[:positions].sum()))
-    heading_variance = max(0.0, float(variances[positions:].sum()))
-    spread = np.exp(
-        -0.5 * position_variance / POSITION_SPREAD_SCALE**2
-        - 0.5 * heading_variance / HEADING_SPREAD_SCALE**2
-    )
-    samples = effective_sample_size / (effective_sample_size + EFFECTIVE_SAMPLE_SCALE)
-    return float(spread * samples * main_share * image_match)
 
 
 def _connected_labels(

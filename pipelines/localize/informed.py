@@ -2,9 +2,11 @@
 
 One frame: odometry predicts where the body may be (``prediction``). Hypotheses that may explain the
 image are aligned with it: the peaks of the last belief, and, while nobody knows where the body is
-or the image no longer fits, places that look like it (``appearance``). Particles are drawn from
+or the image no longer fits, places that look like it (``retrieval``). Particles are drawn from
 both, and weighted by likelihood times prior over the density that they were drawn from, which
-leaves the posterior as it is in the paper, wherever particles were put.
+leaves the posterior as it is in the paper, wherever particles were put. Between places as wholes
+one image decides only so much (``places``), and beside all of them stands the hypothesis that the
+image does not show the map (``outside``).
 """
 
 import math
@@ -13,28 +15,40 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipelines.artifacts.array_types import FloatArray
-from pipelines.localize.adaptation import ImageFit, uncalibrated
-from pipelines.localize.appearance import (
-    AppearanceIndex,
+from pipelines.geometry.camera import Intrinsics
+from pipelines.localize.adaptation import uncalibrated
+from pipelines.localize.belief import Belief, Region, equal_log_weights, normalise_log_weights
+from pipelines.localize.estimate import find_modes
+from pipelines.localize.measurement_model import MeasurementModel
+from pipelines.localize.motion import checked_increment
+from pipelines.localize.observation import Observations
+from pipelines.localize.outside import Presence
+from pipelines.localize.places import labelled, weighed
+from pipelines.localize.population import next_count
+from pipelines.localize.prediction import Prediction
+from pipelines.localize.proposal import Proposal
+from pipelines.localize.resampling import resample
+from pipelines.localize.retrieval import (
+    RetrievalIndex,
     best_distinct,
     build_index,
     spread_states,
     states_around_views,
 )
-from pipelines.localize.belief import Belief, Region, equal_log_weights, normalise_log_weights
-from pipelines.localize.estimate import find_modes
-from pipelines.localize.likelihood import Comparison
-from pipelines.localize.motion import checked_increment
-from pipelines.localize.observation import Observations
-from pipelines.localize.population import next_count
-from pipelines.localize.prediction import Prediction
-from pipelines.localize.proposal import Proposal
-from pipelines.localize.resampling import resample
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import StateSpace
+from pipelines.localize.strategies import Update
 
 # Hypotheses that are aligned in a search, and peaks that are followed.
 SEARCHED, FOLLOWED = 20, 6
+# So many of the places that look like the image are looked at once more in larger images, with so
+# many states around each: standard deviations in metres and radians.
+RETRIEVED, AROUND = 300, 8
+AROUND_POSITION, AROUND_ANGLE = 0.2, 0.08
+# A start pose that is so uncertain, metres, is searched around as a whole map is.
+START_POSITION = 0.6
+# Around a start pose so many states are looked at.
+START_STATES = 3_000
 # A peak that is followed holds at least this share of the weight.
 FOLLOWED_SHARE = 0.01
 # Share of the particles that are drawn from the proposal.
@@ -43,11 +57,17 @@ PROPOSED_SHARE = 0.6
 SEARCH_FACTOR, ENOUGH_PARTICLES = 8, 4_000
 # The density of the prior takes time with each particle in it; so many stand for any number.
 LARGEST_PRIOR = 2_000
+# Probability that the body is somewhere else in the map than odometry says, from one image to the
+# next, while all is well; and at most, when there is a reason to doubt all that was believed.
+CARRIED, MOST_CARRIED = 1e-3, 0.5
+# Below this probability of seeing the map at all, the whole map is searched.
+PRESENT = 0.8
 # While several peaks are left, the body is with this probability where none of them is.
 UNDECIDED_SHARE = 0.05
 UNDECIDED_MODE_SHARE = 0.95
-# The share when there is a reason to doubt all that was believed.
-CARRIED_SHARE = 0.5
+# An image that says less than this share of what images usually say raises the question whether the
+# body is somewhere else.
+DOUBTFUL_SHARE, USUAL_RATE = 0.5, 0.2
 # Where nobody knows the motion, the next image may come from anywhere: a hand turns a camera by
 # half its view in a moment. Then there is always a search, though for fewer places.
 UNKNOWN_MOTION_SHARE, UNKNOWN_MOTION_SEARCHED = 0.1, 8
@@ -60,18 +80,18 @@ LARGEST_POSITION, LARGEST_ANGLE = 0.3, math.radians(10.0)
 
 
 @dataclass(frozen=True)
-class _Update:
-    """A belief, how well its best state explains the image, and whether it left any doubt."""
+class _Weighted:
+    """A belief and what the image said for the map."""
 
     belief: Belief
-    match: float
+    evidence: float
 
 
 class Informed:
     """Carries a belief from frame to frame with proposals that look at the image.
 
     Args:
-        comparison: of states with images.
+        model: compares states with images.
         region: where the body may be.
         world_from_camera: ``(N, 4, 4)`` of the recorded views; hypotheses with six degrees of
             freedom are taken from around them.
@@ -81,29 +101,30 @@ class Informed:
 
     def __init__(
         self,
-        comparison: Comparison,
+        model: MeasurementModel,
         region: Region,
         world_from_camera: FloatArray,
         settings: LocalizerSettings,
         rng: np.random.Generator,
     ) -> None:
-        self._comparison = comparison
+        self._model = model
         self._region = region
         self._views = world_from_camera
         self._settings = settings
         self._rng = rng
-        self._index: AppearanceIndex | None = None
+        self._index: RetrievalIndex | None = None
         self._belief: Belief | None = None
-        self._fit = ImageFit()
-        self._calibration = uncalibrated(comparison.space.dimension)
+        self._presence = Presence()
+        self._usual: float | None = None
+        self._calibration = uncalibrated(model.space.dimension)
         self._increment: FloatArray | None = None
         self._estimate: FloatArray | None = None
         self._last_estimate: FloatArray | None = None
-        self._given = np.empty((0, comparison.space.dimension))
+        self._given = np.empty((0, model.space.dimension))
 
     @property
     def _space(self) -> StateSpace:
-        return self._comparison.space
+        return self._model.space
 
     @property
     def _is_walking(self) -> bool:
@@ -115,31 +136,41 @@ class Informed:
         observations: Observations,
         increment: FloatArray | None,
         hypotheses: FloatArray | None = None,
-    ) -> Belief:
+    ) -> Update:
         """See ``Strategy.update``."""
         self._given = np.empty((0, self._space.dimension)) if hypotheses is None else hypotheses
         motion = None
         if self._belief is not None:
             motion = checked_increment(self._space, increment)
         self._increment, self._last_estimate, self._estimate = motion, self._estimate, None
-        prediction = self._prediction(motion)
-        if observations.is_blind:
-            self._belief = self._unseen(prediction)
-            return self._belief
-        if self._is_walking:
-            share = max(UNKNOWN_MOTION_SHARE, prediction.anywhere_share)
-            prediction = replace(prediction, anywhere_share=share)
-        if observations.uncovers and prediction.anywhere_share < CARRIED_SHARE:
-            # What was concluded from a view that was partly hidden may be wrong.
-            prediction = replace(prediction, anywhere_share=CARRIED_SHARE)
-        update = self._weighted(prediction, observations)
-        share = self._fit.reset_share(update.match)
+        before = self._presence if self._belief is None else self._presence.predicted()
+        prediction = self._prediction(motion, before)
+        if not observations.is_informative:
+            self._belief, self._presence = self._unseen(prediction), before
+            return Update(self._belief, self._presence.inside)
+        weighted = self._weighted(prediction, observations)
+        share = self._doubt(weighted.evidence, before, observations)
         if share > prediction.anywhere_share:
             # The image does not fit where the body was thought to be: look everywhere at once.
-            update = self._weighted(replace(prediction, anywhere_share=share), observations)
-        self._fit = self._fit.with_match(update.match)
-        self._belief = update.belief
-        return self._belief
+            weighted = self._weighted(replace(prediction, anywhere_share=share), observations)
+        self._presence = before.updated(weighted.evidence)
+        self._belief = weighted.belief
+        if self._presence.inside >= PRESENT:
+            usual = weighted.evidence if self._usual is None else self._usual
+            self._usual = usual + USUAL_RATE * (weighted.evidence - usual)
+        return Update(self._belief, self._presence.inside)
+
+    def _doubt(self, evidence: float, before: Presence, observations: Observations) -> float:
+        """How likely it is that the body is somewhere else, after an image with this evidence.
+
+        0 while the image says as much as images usually do.
+        """
+        if observations.uncovers:
+            # What was concluded from a view that was partly hidden may be wrong.
+            return MOST_CARRIED
+        if self._usual is not None and evidence >= DOUBTFUL_SHARE * self._usual:
+            return 0.0
+        return max(CARRIED, MOST_CARRIED * (1.0 - before.updated(evidence).inside))
 
     def learn(self, estimate: FloatArray) -> None:
         """Compares the motion between two estimates with odometry."""
@@ -154,7 +185,7 @@ class Informed:
             self._calibration = self._calibration.learned(motion, error, surprise)
         self._estimate = estimate
 
-    def _prediction(self, motion: FloatArray | None) -> Prediction:
+    def _prediction(self, motion: FloatArray | None, before: Presence) -> Prediction:
         """The prior of this frame."""
         space, settings = self._space, self._settings
         if self._belief is None:
@@ -168,7 +199,12 @@ class Informed:
             scale = self._calibration.noise_scale
         position_sigma, angle_sigma = settings.motion.standard_deviations(space, motion)
         modes = find_modes(self._belief)
-        undecided = settings.start is None and modes[0].share < UNDECIDED_MODE_SHARE
+        undecided = modes[0].share < UNDECIDED_MODE_SHARE
+        anywhere = UNDECIDED_SHARE if undecided else 0.0
+        if before.inside < PRESENT:
+            anywhere = max(anywhere, MOST_CARRIED * (1.0 - before.inside))
+        if motion is None:
+            anywhere = max(anywhere, UNKNOWN_MOTION_SHARE)
         return Prediction(
             space,
             centres,
@@ -176,7 +212,7 @@ class Informed:
             scale * position_sigma,
             scale * angle_sigma,
             self._region,
-            UNDECIDED_SHARE if undecided else 0.0,
+            anywhere,
         )
 
     def _first_prediction(self) -> Prediction:
@@ -198,7 +234,7 @@ class Informed:
         states = prediction.sample(count, self._settings.resampling, self._rng)
         return Belief(states, equal_log_weights(count))
 
-    def _weighted(self, prediction: Prediction, observations: Observations) -> _Update:
+    def _weighted(self, prediction: Prediction, observations: Observations) -> _Weighted:
         """Draws particles from prior and proposal and weights them with the image."""
         proposal = self._proposal(prediction, observations)
         count = self._count(prediction)
@@ -206,7 +242,9 @@ class Informed:
         settings = self._settings
         states = prediction.sample(count - proposed, settings.resampling, self._rng)
         correction = np.zeros(count)
+        hypotheses = np.empty((0, self._space.dimension))
         if proposal is not None:
+            hypotheses = proposal.means
             states = np.concatenate([states, proposal.sample(proposed, self._rng)])
             share = proposed / count
             log_prior = prediction.log_density(states)
@@ -215,14 +253,18 @@ class Informed:
             )
             correction = log_prior - log_drawn
         observation = observations.by_width[settings.fine_width]
-        log_likelihoods = self._comparison.log_likelihoods(states, observation)
-        log_weights, has_weight = normalise_log_weights(correction + log_likelihoods)
+        log_likelihoods = self._model.log_likelihoods(states, observation)
+        labels = labelled(self._space, states, hypotheses)
+        prior = correction - math.log(count)
+        log_weights, evidence = weighed(prior, log_likelihoods, labels)
+        log_weights, has_weight = normalise_log_weights(log_weights)
         if not has_weight:
             # The image speaks against all alike: what was believed before it stands.
             log_weights, _ = normalise_log_weights(correction)
         belief = Belief(states, log_weights)
-        best = states[np.argmax(belief.log_weights)][None]
-        return _Update(belief, self._comparison.match(best, observation))
+        if not self._model.is_absolute:
+            evidence = self._model.marginal_evidence(belief, prior, observation)
+        return _Weighted(belief, evidence)
 
     def _count(self, prediction: Prediction) -> int:
         settings = self._settings
@@ -236,22 +278,22 @@ class Informed:
     def _searches(self, prediction: Prediction) -> bool:
         """Whether there is a reason to look everywhere, and not only that the motion is unknown."""
         usual = UNKNOWN_MOTION_SHARE if self._is_walking else 0.0
-        return prediction.anywhere_share > usual
+        return self._belief is None or prediction.anywhere_share > usual
 
     def _proposal(self, prediction: Prediction, observations: Observations) -> Proposal | None:
         """Normal distributions around hypotheses that were aligned with the image."""
-        settings, comparison = self._settings, self._comparison
+        settings, model = self._settings, self._model
         hypotheses = self._hypotheses(prediction, observations)
         widths = [settings.coarse_width, settings.fine_width]
-        if prediction.anywhere_share == 0.0:
+        if self._belief is not None and prediction.anywhere_share == 0.0:
             widths = widths[1:]
-        aligned = [comparison.aligned(state, observations, widths) for state in hypotheses]
+        aligned = [model.aligned(state, observations, widths) for state in hypotheses]
         found = [refined for refined in aligned if math.isfinite(refined.error)]
         if not found:
             return None
         means = np.stack([refined.state for refined in found])
         observation = observations.by_width[settings.fine_width]
-        log_shares = comparison.log_likelihoods(means, observation)
+        log_shares = model.log_likelihoods(means, observation)
         # Flattened: which of them is right is for the weights to say, not for the proposal.
         return Proposal(
             self._space,
@@ -265,7 +307,7 @@ class Informed:
         space = self._space
         smallest = _spread(space, SMALLEST_POSITION, SMALLEST_ANGLE)
         largest = _spread(space, LARGEST_POSITION, LARGEST_ANGLE)
-        sharpness = 2.0 * self._comparison.likelihood.proposal_sharpness / 255.0**2
+        sharpness = 2.0 * self._model.likelihood.proposal_sharpness / 255.0**2
         precision = sharpness * curvature + np.diag(largest**-2.0)
         return np.asarray(WIDENING**2 * np.linalg.inv(precision) + np.diag(smallest**2))
 
@@ -276,32 +318,56 @@ class Informed:
             moved = Belief(prediction.centres, prediction.log_weights)
             modes = find_modes(moved, minimum_share=FOLLOWED_SHARE)[:FOLLOWED]
             found = np.concatenate([found, np.stack([mode.state for mode in modes])])
-        if prediction.anywhere_share > 0.0 and self._settings.proposal != "pnp":
+        is_start = self._belief is None
+        if (is_start or prediction.anywhere_share > 0.0) and self._settings.proposal != "pnp":
             count = SEARCHED if self._searches(prediction) else UNKNOWN_MOTION_SEARCHED
-            found = np.concatenate([found, self._lookalikes(observations, count)])
+            found = np.concatenate([found, self._lookalikes(prediction, observations, count)])
         return found
 
-    def _lookalikes(self, observations: Observations, count: int) -> FloatArray:
-        """States ``(count, D)`` all over the region from which the scene looks like the image."""
-        observation = observations.by_width[self._settings.coarse_width]
-        if self._index is None:
-            self._index = build_index(
-                self._comparison.renderer,
-                self._space,
-                self._comparison.body_from_camera,
-                observation.intrinsics,
-                self._places(),
-            )
-        costs = self._index.costs(observation)
-        best = best_distinct(self._space, self._index.states, costs, count)
-        return self._index.states[best]
+    def _lookalikes(
+        self, prediction: Prediction, observations: Observations, count: int
+    ) -> FloatArray:
+        """States ``(count, D)`` from which the scene looks like the image."""
+        settings, space = self._settings, self._space
+        coarse = observations.by_width[settings.coarse_width].in_channels(self._model.channels)
+        fine = observations.by_width[settings.fine_width]
+        index = self._index_of(prediction, coarse.intrinsics)
+        best = np.argsort(-index.scores(coarse), kind="stable")[:RETRIEVED]
+        scale = self._hypothesis_scale(prediction)
+        sigma = _spread(space, scale * AROUND_POSITION, scale * AROUND_ANGLE)
+        around = np.repeat(index.states[best], AROUND, axis=0)
+        around = space.moved(around, sigma * self._rng.standard_normal(around.shape))
+        states = np.concatenate([index.states[best], around])
+        one_in = self._model.likelihood.one_pixel_in
+        evidence = self._model.evidence(states, fine, one_in)
+        return states[best_distinct(space, states, evidence, count, scale)]
+
+    def _index_of(self, prediction: Prediction, intrinsics: Intrinsics) -> RetrievalIndex:
+        """Small views all over the region, or around a start pose."""
+        model, is_start = self._model, self._belief is None and prediction.anywhere_share == 0.0
+        if self._index is not None and not is_start:
+            return self._index
+        states = self._places()
+        if is_start:
+            states = prediction.sample(START_STATES, self._settings.resampling, self._rng)
+        mount = model.body_from_camera
+        index = build_index(model.renderer, self._space, mount, intrinsics, states)
+        if not is_start:
+            self._index = index
+        return index
+
+    def _hypothesis_scale(self, prediction: Prediction) -> float:
+        """How near to each other hypotheses are looked for, as a share of the usual."""
+        if self._belief is not None or prediction.anywhere_share > 0.0:
+            return 1.0
+        return min(1.0, prediction.position_sigma / START_POSITION)
 
     def _places(self) -> FloatArray:
         """States ``(N, D)`` at which thumbnails are rendered."""
         count = self._settings.search_particles
         if self._space.angles == 1:
             return spread_states(self._space, self._region, count)
-        mount = self._comparison.body_from_camera
+        mount = self._model.body_from_camera
         return states_around_views(self._space, self._views, mount, count, self._rng)
 
 

@@ -1,23 +1,23 @@
-"""How likely is a camera image at a hypothetical state? The observation model of equation (2).
+"""Kinds of likelihood: how a view and a camera image are compared, and how much that is trusted.
 
-The view that the light field renders at the state is compared with the image; the cost of the
-comparison (``pipelines.lightfield.comparison``) becomes a log-likelihood, ``-sharpness * cost``.
+The cost of a comparison (``pipelines.lightfield.comparison``) becomes a log-likelihood,
+``-sharpness * cost``. The default, ``evidence``, is absolute: a log-likelihood ratio against an
+image that does not show the map. The others say only which of several states fits better; the
+paper's is ``squared``.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
 
 from pipelines.artifacts.array_types import FloatArray
 from pipelines.artifacts.errors import OptionError, StageError
+from pipelines.lightfield.channels import Channels
 from pipelines.lightfield.comparison import Cost
-from pipelines.lightfield.renderer import Renderer
 from pipelines.localize.belief import effective_sample_size, normalise_log_weights
-from pipelines.localize.observation import LATTICES, Observation, Observations
-from pipelines.localize.refinement import Refined, refine
-from pipelines.localize.state_space import StateSpace
+from pipelines.localize.observation import LATTICES
 
 
 @dataclass(frozen=True)
@@ -29,9 +29,11 @@ class Likelihood:
         sharpness: log-likelihood lost for a unit of cost. For the squared difference it is
             n 255^2 / (2 sigma^2) with n independent pixels of standard deviation sigma:
             neighbouring pixels and the errors of the model are far from independent, so n is about
-            ten.
+            ten. For evidence it is the number of independent pixels that an image is worth,
+            whatever its size.
         fit_gain: whether a brightness factor is fitted before the comparison.
         one_pixel_in: one in so many pixels is compared, a key of ``observation.LATTICES``.
+        channels: what of the images is compared.
 
     Raises:
         OptionError: a sharpness that is not positive and finite, or pixels that no lattice has.
@@ -41,6 +43,7 @@ class Likelihood:
     sharpness: float
     fit_gain: bool = True
     one_pixel_in: int = 1
+    channels: Channels = Channels.COLOUR
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.sharpness) and self.sharpness > 0.0):
@@ -51,14 +54,23 @@ class Likelihood:
         if self.cost is Cost.GRADIENT and self.one_pixel_in != 1:
             raise OptionError("gradients are of neighbouring pixels: compare one pixel in 1")
 
+        if self.cost is Cost.EVIDENCE and self.fit_gain:
+            raise OptionError("evidence fits no gain: choose channels that bear another light")
+
     @property
     def proposal_sharpness(self) -> float:
         """The sharpness of a squared difference whose peaks are about as wide."""
+        if self.cost is Cost.EVIDENCE:
+            return EVIDENCE_PEAK_SHARPNESS
         return self.sharpness if self.cost is Cost.SQUARED else SQUARED_SHARPNESS
 
 
 # The squared difference's sharpness, by which other costs' peaks are taken to be as wide.
 SQUARED_SHARPNESS = 800.0
+EVIDENCE_PEAK_SHARPNESS = 8000.0
+# Independent pixels that an image is worth, as evidence. Windows of local contrast have 25 pixels,
+# of which an image 40 pixels wide has 48; edges are narrower than windows.
+INDEPENDENT_PIXELS = 150.0
 # Of particles around the truth, log-likelihoods by a fifth of 40x30 pixels differ from those by all
 # by 0.4 (standard deviation), and among each other by 4 to 5: docs/performance.md.
 ONE_PIXEL_IN = 5
@@ -66,6 +78,9 @@ ONE_PIXEL_IN = 5
 
 LIKELIHOODS: Mapping[str, Likelihood] = MappingProxyType(
     {
+        "evidence": Likelihood(
+            Cost.EVIDENCE, INDEPENDENT_PIXELS, False, ONE_PIXEL_IN, Channels.CONTRAST
+        ),
         "squared": Likelihood(Cost.SQUARED, SQUARED_SHARPNESS, one_pixel_in=ONE_PIXEL_IN),
         "robust": Likelihood(Cost.ROBUST, 80.0, one_pixel_in=ONE_PIXEL_IN),
         "zncc": Likelihood(Cost.ZNCC, 60.0, fit_gain=False, one_pixel_in=ONE_PIXEL_IN),
@@ -83,58 +98,6 @@ def likelihood_named(name: str) -> Likelihood:
     if name not in LIKELIHOODS:
         raise OptionError(f"likelihood {name!r} is none of {', '.join(LIKELIHOODS)}")
     return LIKELIHOODS[name]
-
-
-class Comparison:
-    """Compares states with camera images, by the views rendered at them.
-
-    Args:
-        renderer: of the scene.
-        space: what a state is.
-        body_from_camera: ``(4, 4)`` the camera's mount.
-        likelihood: how images are compared and how much that is trusted.
-    """
-
-    def __init__(
-        self,
-        renderer: Renderer,
-        space: StateSpace,
-        body_from_camera: FloatArray,
-        likelihood: Likelihood,
-    ) -> None:
-        self.renderer = renderer
-        self.space = space
-        self.body_from_camera = body_from_camera
-        self.likelihood = likelihood
-
-    def log_likelihoods(self, states: FloatArray, observation: Observation) -> FloatArray:
-        """Log-likelihoods ``(M,)`` of states ``(M, D)``, up to a common constant."""
-        likelihood = self.likelihood
-        thin = replace(observation, image=observation.thinned(likelihood.one_pixel_in))
-        costs = self._costs(states, thin, likelihood.cost, likelihood.fit_gain)
-        return -likelihood.sharpness * costs
-
-    def match(self, states: FloatArray, observation: Observation) -> float:
-        """How well the best of the states ``(M, D)`` explains the image: its correlation, 0 to 1.
-
-        An absolute figure, other than weights, which only compare hypotheses with each other.
-        """
-        costs = self._costs(states, observation, Cost.ZNCC, False)
-        return float(np.clip(1.0 - 2.0 * costs.min(), 0.0, 1.0))
-
-    def aligned(
-        self, state: FloatArray, observations: Observations, widths: Sequence[int]
-    ) -> Refined:
-        """A state aligned with the image in these sizes, coarse to fine."""
-        images = [observations.by_width[width] for width in widths]
-        return refine(self.renderer, self.space, state, self.body_from_camera, images)
-
-    def _costs(
-        self, states: FloatArray, observation: Observation, cost: Cost, fit_gain: bool
-    ) -> FloatArray:
-        poses = self.space.poses(states) @ self.body_from_camera
-        image = observation.image
-        return self.renderer.costs(poses, observation.intrinsics, image, cost, fit_gain)
 
 
 def tempered(

@@ -16,38 +16,38 @@ import numpy as np
 from pipelines.artifacts.array_types import BoolArray, FloatArray, ImageArray
 from pipelines.artifacts.errors import OptionError
 from pipelines.geometry.camera import Camera
-from pipelines.lightfield.proxy import Quality, quality_named
-from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.scene import Scene
-from pipelines.localize.belief import Belief, Region, effective_sample_size, region_of_area
+from pipelines.localize.belief import Region, effective_sample_size, region_of_area
+from pipelines.localize.confidence import confidence
 from pipelines.localize.estimate import (
     Mode,
-    confidence,
     find_modes,
     max_weight_state,
     mean_state,
     modes_table,
 )
 from pipelines.localize.informed import Informed
-from pipelines.localize.likelihood import Comparison
+from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.motion import checked_increment
 from pipelines.localize.observation import Observations, Observer
 from pipelines.localize.refinement import Refined
 from pipelines.localize.run import FrameRecord
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import state_space_of_dimension
-from pipelines.localize.strategies import CoarseToFine, Condensation, Strategy
+from pipelines.localize.strategies import CoarseToFine, Condensation, Strategy, Update
 
-# The view at the estimate explains the image worse than this (correlation): the robot is lost.
-LOST_MATCH = 0.3
-# One mode holds this share of the weight and is narrower than this: the search is over.
-TRACKING_SHARE = 0.9
+# The body is followed while it is in one place of the map with this probability, all alternatives
+# counted (other places, outside of the map), and that place is narrower than this.
+TRACKING_PROBABILITY = 0.9
+# It is lost while the image more probably does not show the map at all.
+LOST_PROBABILITY = 0.5
 TRACKING_POSITION, TRACKING_HEADING = 0.35, math.radians(10.0)
 # Errors of the model (reflections, a surface that is not quite there) reach farther than a tile of
 # the image: the alignment's standard deviations times this cover the truth as often as they should.
 MODEL_ERROR = 3.3
-# Photos are kept at so many times the width of the finest comparison.
-VIEW_RESOLUTION_FACTOR = 4
+# An image that is the one before does not belong to where the body is once it has moved so far:
+# metres and radians.
+STALE_POSITION, STALE_ANGLE = 0.01, math.radians(0.3)
 # A hand-held camera may be so many metres from where the recorded views were.
 AROUND_VIEWS = 0.5
 
@@ -65,7 +65,7 @@ class Localizer:
             body.
         settings: the filter's settings.
         rng: the only source of randomness.
-        renderer: of the scene; made here when None.
+        model: compares states with images; made here when None.
         mask: ``(height, width)``, True where the camera's images as recorded are to be used; None:
             everywhere.
 
@@ -81,27 +81,21 @@ class Localizer:
         body_from_camera: FloatArray,
         settings: LocalizerSettings,
         rng: np.random.Generator,
-        renderer: Renderer | None = None,
+        model: MeasurementModel | None = None,
         mask: BoolArray | None = None,
     ) -> None:
         self.settings = settings
         self.space = settings.state_space
         self._camera = camera
         self._observer = Observer(camera, settings.widths, mask)
-        if renderer is None:
-            renderer = Renderer.of_scene(
-                scene,
-                VIEW_RESOLUTION_FACTOR * settings.fine_width,
-                settings.blending,
-                quality_named(settings.quality, bool(scene.depth), Quality.MEDIUM),
-                settings.threads,
-                settings.device,
-            )
-        self._comparison = Comparison(renderer, self.space, body_from_camera, settings.likelihood)
+        if model is None:
+            model = MeasurementModel.of_scene(scene, body_from_camera, settings)
+        self._model = model
         region = region_of(scene, settings)
         views = scene.world_from_camera
-        self._strategy = _strategy(self._comparison, region, views, settings, rng)
-        self._is_searching = settings.start is None
+        self._strategy = _strategy(self._model, region, views, settings, rng)
+        self._has_been_found = False
+        self._moved = np.zeros(self.space.dimension)
 
     def step(
         self,
@@ -131,40 +125,52 @@ class Localizer:
         # Before anything is remembered of the image: what is refused leaves no trace.
         motion = checked_increment(self.space, odometry_increment)
         seconds: dict[str, float] = {}
-        observations = _timed(seconds, "prepare", lambda: self._observer(image))
-        belief = _timed(
+        observations = _timed(seconds, "prepare", lambda: self._observed(image, motion))
+        update = _timed(
             seconds, "filter", lambda: self._strategy.update(observations, motion, hypotheses)
         )
         record = _timed(
             seconds,
             "estimate",
-            lambda: self._concluded(belief, observations, timestamp, image_name),
+            lambda: self._concluded(update, observations, timestamp, image_name),
         )
         return replace(record, seconds=seconds)
 
+    def _observed(self, image: ImageArray, motion: FloatArray | None) -> Observations:
+        """The image, and whether it can be of where the body is now."""
+        observations = self._observer(image)
+        if not observations.is_repeated:
+            self._moved = np.zeros(self.space.dimension)
+            return observations
+        if motion is not None:
+            self._moved = self._moved + motion
+        p = self.space.positions
+        metres, radians = np.linalg.norm(self._moved[:p]), np.linalg.norm(self._moved[p:])
+        return replace(
+            observations, is_stale=bool(metres > STALE_POSITION or radians > STALE_ANGLE)
+        )
+
     def _concluded(
-        self, belief: Belief, observations: Observations, timestamp: float, image_name: str
+        self, update: Update, observations: Observations, timestamp: float, image_name: str
     ) -> FrameRecord:
         """Estimates, their covariance, and whether they can be relied on."""
+        belief = update.belief
         modes = find_modes(belief)
         main = modes[0]
-        best = max_weight_state(belief)
-        effective = effective_sample_size(belief.log_weights)
-        self._is_searching = self._is_searching and not _is_settled(main)
-        match = 0.0
-        if not observations.is_blind:
-            observation = observations.by_width[self.settings.fine_width]
-            match = self._comparison.match(np.stack([best, main.state]), observation)
-        status = self._status(observations, match)
+        status = self._status(update.inside, main, observations)
         estimates: dict[str, FloatArray] = {}
         refined = None
         if status != "lost":
+            best = max_weight_state(belief)
             estimates = {"max_weight": best, "mean": mean_state(belief), "mode": main.state}
         if status == "tracking":
+            self._has_been_found = True
             refined = self._refined(main, observations)
             if refined is not None:
                 estimates["refined"] = refined.state
             self._strategy.learn(main.state if refined is None else refined.state)
+        covariance = main.covariance if refined is None else refined.covariance
+        probability = update.inside * main.share if observations.is_informative else 0.0
         return FrameRecord(
             timestamp=timestamp,
             image_name=image_name,
@@ -173,19 +179,23 @@ class Localizer:
             estimates=estimates,
             modes=modes_table(modes),
             covariance=main.covariance,
-            effective_sample_size=effective,
-            confidence=confidence(effective, main.covariance, main.share, match),
+            effective_sample_size=effective_sample_size(belief.log_weights),
+            confidence=confidence(probability, covariance),
             status=status,
             seconds={},
             refined_covariance=None if refined is None else refined.covariance,
         )
 
-    def _status(self, observations: Observations, match: float) -> str:
-        if self._is_searching:
-            return "global"
+    def _status(self, inside: float, main: Mode, observations: Observations) -> str:
         if observations.is_blind:
             return "blind"
-        return "lost" if match < LOST_MATCH else "tracking"
+        if observations.is_stale:
+            return "stale"
+        if inside * main.share >= TRACKING_PROBABILITY and _is_narrow(main):
+            return "tracking"
+        if inside < LOST_PROBABILITY:
+            return "lost"
+        return "global"
 
     def _refined(self, main: Mode, observations: Observations) -> Refined | None:
         """The main mode aligned with the image; None where that leads nowhere or elsewhere."""
@@ -193,7 +203,7 @@ class Localizer:
         if settings.refine_width == 0:
             return None
         widths = [width for width in settings.widths if width >= settings.fine_width]
-        refined = self._comparison.aligned(main.state, observations, widths)
+        refined = self._model.aligned(main.state, observations, widths)
         if not math.isfinite(refined.error):
             return None
         positions, angles = self.space.positions, self.space.angles
@@ -232,30 +242,26 @@ def region_of(scene: Scene, settings: LocalizerSettings) -> Region:
 
 
 def _strategy(
-    comparison: Comparison,
+    model: MeasurementModel,
     region: Region,
     world_from_camera: FloatArray,
     settings: LocalizerSettings,
     rng: np.random.Generator,
 ) -> Strategy:
     if settings.strategy == "condensation":
-        return Condensation(comparison, region, settings, rng)
+        return Condensation(model, region, settings, rng)
     if settings.strategy == "coarse_to_fine":
-        return CoarseToFine(comparison, region, settings, rng)
-    return Informed(comparison, region, world_from_camera, settings, rng)
+        return CoarseToFine(model, region, settings, rng)
+    return Informed(model, region, world_from_camera, settings, rng)
 
 
-def _is_settled(main: Mode) -> bool:
-    """Whether one narrow mode holds nearly all of the weight."""
+def _is_narrow(main: Mode) -> bool:
+    """Whether a mode is narrow enough to be called a place."""
     positions = state_space_of_dimension(len(main.covariance)).positions
     variances = np.diag(main.covariance)
     position = math.sqrt(float(variances[:positions].sum()))
     heading = math.sqrt(float(variances[positions:].sum()))
-    return (
-        main.share >= TRACKING_SHARE
-        and position <= TRACKING_POSITION
-        and heading <= TRACKING_HEADING
-    )
+    return position <= TRACKING_POSITION and heading <= TRACKING_HEADING
 
 
 def _timed(seconds: dict[str, float], name: str, work: Callable[[], Result]) -> Result:

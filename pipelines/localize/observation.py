@@ -22,6 +22,7 @@ from pipelines.artifacts.array_types import BoolArray, Float32Array, ImageArray
 from pipelines.artifacts.errors import OptionError
 from pipelines.dataset.mask import SMALLEST_USED_SHARE
 from pipelines.geometry.camera import Camera, Intrinsics, Undistorter
+from pipelines.lightfield.channels import Channels, channel_image
 from pipelines.lightfield.views import area_average, query_intrinsics
 
 # An image whose grey levels differ by less than this (standard deviation) shows nothing: a covered
@@ -36,6 +37,8 @@ LARGEST_FIXED_SHARE = 0.6
 SMALLEST_FIXED_SHARE = 0.05
 # A pixel of which a mask leaves out more than this share is left out.
 LARGEST_MASKED_SHARE = 0.01
+# Images are the same when fewer pixels than this share differ by more than so many grey levels.
+SAME_LEVELS, SAME_SHARE = 2, 0.005
 # One pixel in so many -> how far a row's pixels stand aside from those of the row above.
 LATTICES = MappingProxyType({1: 0, 2: 1, 3: 1, 5: 2})
 # Fewer pixels than this are all compared, or more of them.
@@ -76,13 +79,33 @@ class Observation:
     intrinsics: Intrinsics
     number: int = 0
 
+    @property
+    def used(self) -> BoolArray:
+        """``(H, W)`` pixels that show the scene."""
+        return ~np.isnan(self.image[..., 0])
+
+    @functools.cached_property
+    def _kept_channels(self) -> dict[Channels, "Observation"]:
+        return {}
+
+    def in_channels(self, channels: Channels) -> "Observation":
+        """The same image in other channels; made once."""
+        if channels is Channels.COLOUR:
+            return self
+        if channels not in self._kept_channels:
+            made = channel_image(self.image, channels, self.used)
+            made[~self.used] = np.nan
+            self._kept_channels[channels] = Observation(made, self.intrinsics, self.number)
+        return self._kept_channels[channels]
+
     def thinned(self, one_in: int) -> Float32Array:
         """The image ``(H, W, 3)`` with NaN at all but one in so many pixels, a key of ``LATTICES``.
 
         Fewer are left out where less than ``FEWEST_COMPARED`` would remain.
         """
         height, width = self.image.shape[:2]
-        able = [step for step in LATTICES if height * width >= step * FEWEST_COMPARED]
+        usable = int(np.count_nonzero(self.used))
+        able = [step for step in LATTICES if usable >= step * FEWEST_COMPARED]
         step = max((step for step in able if step <= one_in), default=1)
         is_compared = _kept_lattice((height, width), step, self.number % step)
         return np.where(is_compared[..., None], self.image, np.float32(np.nan))
@@ -98,11 +121,20 @@ class Observations:
             out.
         uncovers: whether so much was left out for the first time that what was concluded from
             earlier images may be wrong.
+        is_repeated: whether it is the image before, once more.
+        is_stale: whether it is, although the body has moved: the camera hangs.
     """
 
     by_width: Mapping[int, Observation]
     contrast: float
     uncovers: bool = False
+    is_repeated: bool = False
+    is_stale: bool = False
+
+    @property
+    def is_informative(self) -> bool:
+        """Whether the image says anything about where the body is now."""
+        return not (self.is_blind or self.is_stale)
 
     @property
     def is_blind(self) -> bool:
@@ -138,9 +170,12 @@ class Observer:
         self._images = 0
         self._number = 0
         self._fixed_share = 0.0
+        self._last: ImageArray | None = None
 
     def __call__(self, image: ImageArray) -> Observations:
         """The sizes of one image ``(height, width, 3)``, RGB as recorded."""
+        is_repeated = self._last is not None and is_same(image, self._last)
+        self._last = image
         straight = self._undistorter(image)
         sizes = {
             width: area_average(straight, pinhole.width, pinhole.height).astype(np.float32)
@@ -149,7 +184,7 @@ class Observer:
         coarsest, used = sizes[min(sizes)], self._used[min(sizes)]
         contrast = float(np.std(coarsest.mean(axis=2)[used]))
         uncovers = False
-        if contrast >= SMALLEST_CONTRAST:
+        if contrast >= SMALLEST_CONTRAST and not is_repeated:
             fixed = self._fixed(coarsest, used)
             share = float(fixed[used].mean())
             uncovers = share >= SMALLEST_FIXED_SHARE > self._fixed_share
@@ -164,7 +199,7 @@ class Observer:
             for width, small in sizes.items()
         }
         self._number += 1
-        return Observations(by_width, contrast, uncovers)
+        return Observations(by_width, contrast, uncovers, is_repeated)
 
     def _fixed(self, image: Float32Array, used: BoolArray) -> BoolArray:
         """Pixels ``(H, W)``, among the used ones, that kept their colours in all images so far."""
@@ -179,6 +214,14 @@ class Observer:
         if not is_moving or float(fixed[used].mean()) > LARGEST_FIXED_SHARE:
             return np.zeros_like(fixed)
         return fixed
+
+
+def is_same(image: ImageArray, before: ImageArray) -> bool:
+    """Whether two images as recorded are one: a sensor's noise alone would tell two apart."""
+    if image.shape != before.shape:
+        return False
+    difference = cv2.absdiff(image, before).max(axis=2)
+    return float(np.mean(difference > SAME_LEVELS)) < SAME_SHARE
 
 
 def check_mask(mask: BoolArray, camera: Camera) -> None:

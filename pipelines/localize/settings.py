@@ -79,7 +79,7 @@ class LocalizerSettings:
     start_position_sigma: float = 0.3
     start_heading_sigma: float = math.radians(10.0)
     area: tuple[float, float, float, float] | None = None
-    likelihood: Likelihood = LIKELIHOODS["robust"]
+    likelihood: Likelihood = LIKELIHOODS["evidence"]
     motion: MotionModel = field(default_factory=MotionModel)
     resampling: str = "systematic"
     resampling_threshold: float = 0.7
@@ -180,6 +180,7 @@ class LocalizerSettings:
         """Plain JSON types; what the run file keeps."""
         values = asdict(self)
         values["likelihood"]["cost"] = self.likelihood.cost.name.lower()
+        values["likelihood"]["channels"] = self.likelihood.channels.value
         values["blending"] = self.blending.name.lower()
         values["device"] = self.device.value
         for name in ("start", "area"):

@@ -12,6 +12,7 @@ narrows.
 """
 
 import math
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -26,13 +27,28 @@ from pipelines.localize.belief import (
     normalise_log_weights,
     uniform_belief,
 )
-from pipelines.localize.likelihood import Comparison, tempered
+from pipelines.localize.likelihood import tempered
+from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.motion import checked_increment, predict
 from pipelines.localize.observation import Observations
+from pipelines.localize.outside import Presence
 from pipelines.localize.population import next_count, roughened
 from pipelines.localize.resampling import resample
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import StateSpace
+
+
+@dataclass(frozen=True)
+class Update:
+    """What an image and a motion make of a belief.
+
+    Attributes:
+        belief: where the body is, if the image shows the map.
+        inside: probability that it does.
+    """
+
+    belief: Belief
+    inside: float
 
 
 class Strategy(Protocol):
@@ -43,7 +59,7 @@ class Strategy(Protocol):
         observations: Observations,
         increment: FloatArray | None,
         hypotheses: FloatArray | None = None,
-    ) -> Belief:
+    ) -> Update:
         """The belief after one image.
 
         Args:
@@ -81,7 +97,7 @@ class Condensation:
     """The paper's filter.
 
     Args:
-        comparison: of states with images.
+        model: compares states with images.
         region: where the robot may be.
         settings: of the filter.
         rng: the only source of randomness.
@@ -89,18 +105,17 @@ class Condensation:
 
     def __init__(
         self,
-        comparison: Comparison,
+        model: MeasurementModel,
         region: Region,
         settings: LocalizerSettings,
         rng: np.random.Generator,
     ) -> None:
-        self._comparison = comparison
+        self._model = model
         self._settings = settings
         self._rng = rng
         self._is_first = True
-        self._belief = start_belief(
-            comparison.space, region, settings, self._start_count(settings), rng
-        )
+        self._presence = Presence()
+        self._belief = start_belief(model.space, region, settings, self._start_count(settings), rng)
 
     def _start_count(self, settings: LocalizerSettings) -> int:
         return settings.particles
@@ -110,14 +125,19 @@ class Condensation:
         observations: Observations,
         increment: FloatArray | None,
         hypotheses: FloatArray | None = None,
-    ) -> Belief:
+    ) -> Update:
         """See ``Strategy.update``; hypotheses are ignored."""
         states, log_weights = self._belief.states, self._belief.log_weights
         if not self._is_first:
-            states, log_weights = self._drawn(checked_increment(self._comparison.space, increment))
+            states, log_weights = self._drawn(checked_increment(self._model.space, increment))
+            self._presence = self._presence.predicted()
         self._is_first = False
         self._belief = self._weighted(states, log_weights, observations)
-        return self._belief
+        if observations.is_informative:
+            fine = observations.by_width[self._settings.fine_width]
+            evidence = self._model.marginal_evidence(self._belief, log_weights, fine)
+            self._presence = self._presence.updated(evidence)
+        return Update(self._belief, self._presence.inside)
 
     def learn(self, estimate: FloatArray) -> None:
         """The paper's filter learns nothing but its belief."""
@@ -127,7 +147,7 @@ class Condensation:
         settings, count = self._settings, len(self._belief)
         chosen = resample(self._belief.log_weights, count, settings.resampling, self._rng)
         moved = predict(
-            self._comparison.space,
+            self._model.space,
             self._belief.states[chosen],
             increment,
             settings.motion,
@@ -138,10 +158,10 @@ class Condensation:
     def _weighted(
         self, states: FloatArray, log_weights: FloatArray, observations: Observations
     ) -> Belief:
-        if observations.is_blind:
+        if not observations.is_informative:
             return Belief(states, log_weights)
         observation = observations.by_width[self._settings.fine_width]
-        log_likelihoods = self._comparison.log_likelihoods(states, observation)
+        log_likelihoods = self._model.log_likelihoods(states, observation)
         return Belief(states, normalise_log_weights(log_weights + log_likelihoods)[0])
 
 
@@ -152,7 +172,7 @@ class CoarseToFine(Condensation):
         return settings.search_particles
 
     def _drawn(self, increment: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-        settings, belief, space = self._settings, self._belief, self._comparison.space
+        settings, belief, space = self._settings, self._belief, self._model.space
         count = next_count(belief, settings.particles, settings.shrink_factor)
         states, log_weights = belief.states, belief.log_weights
         enough = settings.resampling_threshold * len(belief)
@@ -165,11 +185,11 @@ class CoarseToFine(Condensation):
     def _weighted(
         self, states: FloatArray, log_weights: FloatArray, observations: Observations
     ) -> Belief:
-        if observations.is_blind:
+        if not observations.is_informative:
             return Belief(states, log_weights)
         settings = self._settings
         is_coarse = len(states) > 4 * settings.particles
         width = settings.coarse_width if is_coarse else settings.fine_width
-        log_likelihoods = self._comparison.log_likelihoods(states, observations.by_width[width])
+        log_likelihoods = self._model.log_likelihoods(states, observations.by_width[width])
         share = settings.smallest_effective_share
         return Belief(states, tempered(log_weights, log_likelihoods, share)[0])

@@ -2,7 +2,8 @@
 // writes one number (module comparison).
 
 @group(0) @binding(8) var<storage, read_write> images: array<vec4<f32>>;
-@group(0) @binding(9) var<storage, read> photo: array<vec4<f32>>;  // RGB; 1 where it counts, else 0
+@group(0) @binding(9) var<storage, read> photo: array<vec4<f32>>;  // RGB; 1 where it counts, else 0.
+// For EVIDENCE 1 and its row of the table, which stands behind the pixels, row by row.
 @group(0) @binding(10) var<storage, read_write> costs: array<f32>;
 
 const LANES: u32 = 64u;
@@ -48,7 +49,15 @@ fn image_at(slot: u32, pixel: vec2<u32>) -> vec4<f32> {
   return images[slot * settings.size.x * settings.size.y + row_by_row(pixel)];
 }
 
-// Adds one pixel. ZNCC: the sums of its formula, relative to the camera image's mean. All others,
+// What a pixel says for the map.
+fn evidence(rendered: vec3<f32>, taken: vec4<f32>) -> f32 {
+  let difference = dot(abs(rendered - taken.xyz), vec3(1.0));
+  let column = u32(min(difference / EVIDENCE_BIN, f32(EVIDENCE_BINS - 1u)));
+  let entry = (u32(taken.w) - 1u) * EVIDENCE_BINS + column;
+  return photo[settings.size.x * settings.size.y + entry / 4u][entry % 4u];
+}
+
+// Adds one pixel. EVIDENCE: minus what it says. ZNCC: the sums of its formula, relative to the camera image's mean. All others,
 // with e = rendered - taken: sums of e^2, rendered^2, rendered e; of what the first pass of ROBUST
 // costs; of uncovered pixels.
 fn counted(sums: Sums, rendered: vec4<f32>, taken: vec4<f32>) -> Sums {
@@ -58,6 +67,10 @@ fn counted(sums: Sums, rendered: vec4<f32>, taken: vec4<f32>) -> Sums {
   }
   if (rendered.w == 0.0) {
     result.b.y += 1.0;
+    return result;
+  }
+  if (KIND == EVIDENCE) {
+    result.a.x -= evidence(rendered.xyz, taken);
     return result;
   }
   if (KIND == ZNCC) {
@@ -141,6 +154,9 @@ fn second_cost(slot: u32, pixel: vec2<u32>, gain: f32) -> f32 {
 
 // From the sums of the first pass, where that is all.
 fn first_cost(sums: Sums) -> f32 {
+  if (KIND == EVIDENCE) {
+    return sums.a.x;
+  }
   if (KIND == ZNCC) {
     return correlation_cost(sums);
   }

@@ -1,10 +1,10 @@
-"""Where could this image have been taken? Thumbnails of the scene from all over, compared at once.
+"""Image retrieval: where could this image have been taken? Views from all over, compared at once.
 
-Thousands of small views are rendered once; a camera image is then compared with all of them by two
-matrix products, which takes milliseconds. The comparison is the paper's, the squared difference
-with a fitted brightness factor, tile by tile: a tile that fits badly counts no more than
-``WORST_TILE``, since something may stand in front of it. This is what rejects hopeless hypotheses
-early, and what finds a robot that was carried away.
+Thousands of small views are rendered once, in the channels in which images are compared; a camera
+image is then compared with all of them by matrix products, which takes milliseconds. What counts is
+the correlation of tiles, each weighted by how much the camera image shows there: light that changes
+leaves it nearly as it is, and what stands in front of some tiles changes only these. A tile that no
+photo shows adds nothing. This says where to look, not what to believe.
 """
 
 from dataclasses import dataclass
@@ -15,15 +15,15 @@ import numpy as np
 from pipelines.artifacts.array_types import Float32Array, FloatArray, IntArray
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.pose import inverse
-from pipelines.lightfield.comparison import LARGEST_GAIN, UNCOVERED_SQUARED
+from pipelines.lightfield.channels import ZERO
 from pipelines.lightfield.renderer import Renderer
 from pipelines.localize.belief import Region
 from pipelines.localize.observation import Observation
 from pipelines.localize.state_space import StateSpace
 
 TILES_ACROSS, TILES_DOWN = 4, 3
-# A tile that differs more than this, relative to 255^2, shows something else.
-WORST_TILE = 0.06
+# Root mean square of a channel below which a tile shows nothing, as bytes.
+FAINT = 11.5
 # Around a recorded view the others are spread by so much: metres and radians.
 AROUND_POSITION, AROUND_ANGLE = 0.3, 0.2
 # Bases of the Halton sequence that covers places and headings.
@@ -33,52 +33,35 @@ DISTINCT_POSITION, DISTINCT_ANGLE = 0.4, 0.2
 
 
 @dataclass(frozen=True)
-class AppearanceIndex:
-    """Thumbnails rendered at N states.
+class RetrievalIndex:
+    """Small views rendered at N states.
 
     Attributes:
         states: ``(N, D)``.
-        thumbnails: ``(N, 3 H W)`` colours, tile by tile, zero where uncovered.
-        covered: ``(N, H W)`` 1 where covered, else 0, tile by tile.
+        thumbnails: ``(N, 3 H W)`` channels less their zero, tile by tile; 0 where uncovered.
         order: ``(H W,)`` pixels in the order in which they are kept.
         starts: ``(T + 1,)`` where in that order the tiles begin.
     """
 
     states: FloatArray
     thumbnails: Float32Array
-    covered: Float32Array
     order: IntArray
     starts: IntArray
 
-    def costs(self, observation: Observation) -> FloatArray:
-        """Mean over the tiles of their mean squared differences ``(N,)``, relative to 255^2."""
-        query = observation.image.reshape(-1, 3)[self.order]
-        used = np.isfinite(query[:, 0]).astype(np.float32)
-        query = np.nan_to_num(query)
-        total, weights = np.zeros(len(self.states)), 0.0
+    def scores(self, observation: Observation) -> FloatArray:
+        """How alike the views are to an image in the same channels ``(N,)``; higher is better."""
+        query = observation.image.reshape(-1, 3)[self.order] - np.float32(ZERO)
+        used = np.isfinite(query[:, 0])
+        query = np.where(used[:, None], query, np.float32(0.0))
+        total = np.zeros(len(self.states))
         for first, end in pairwise(self.starts):
-            weight = float(used[first:end].sum())
-            if weight > 0.0:
-                costs = self._tile_costs(int(first), int(end), query, used)
-                total += weight * np.minimum(costs, WORST_TILE)
-                weights += weight
-        return np.asarray(total / max(weights, 1.0), dtype=np.float64)
-
-    def _tile_costs(
-        self, first: int, end: int, query: Float32Array, used: Float32Array
-    ) -> Float32Array:
-        """Mean squared differences ``(N,)`` of one tile, after its own brightness factor."""
-        part, weights = query[first:end], used[first:end]
-        thumbnails, covered = self.thumbnails[:, 3 * first : 3 * end], self.covered[:, first:end]
-        products = thumbnails @ part.reshape(-1)
-        energies = thumbnails**2 @ np.repeat(weights, 3)
-        seen = covered @ (part**2).sum(axis=1)
-        gains = np.clip(products / np.maximum(energies, 1.0), 1.0 / LARGEST_GAIN, LARGEST_GAIN)
-        squares = np.maximum(seen - 2.0 * gains * products + gains**2 * energies, 0.0)
-        compared = float(weights.sum())
-        uncovered = 1.0 - covered @ weights / compared
-        costs = squares / (3.0 * 255.0**2 * compared) + UNCOVERED_SQUARED * uncovered
-        return np.asarray(costs, dtype=np.float32)
+            part = query[first:end].reshape(-1)
+            thumbnails = self.thumbnails[:, 3 * first : 3 * end]
+            energy = float(part @ part)
+            energies = thumbnails**2 @ np.repeat(used[first:end], 3).astype(np.float32)
+            floor = FAINT**2 * 3.0 * max(float(used[first:end].sum()), 1.0)
+            total += energy * (thumbnails @ part) / np.sqrt(energies * energy + floor**2)
+        return total
 
 
 def build_index(
@@ -87,15 +70,16 @@ def build_index(
     body_from_camera: FloatArray,
     intrinsics: Intrinsics,
     states: FloatArray,
-) -> AppearanceIndex:
-    """Renders the thumbnails of states ``(N, D)``."""
+) -> RetrievalIndex:
+    """Renders the small views of states ``(N, D)``; the renderer's photos are in channels."""
     poses = space.poses(states) @ body_from_camera
     images, covered = renderer.render_many(poses, intrinsics)
+    images -= np.float32(ZERO)
+    images[~covered] = 0.0
     order, starts = _tiles(intrinsics)
     # np.take leaves the states in their place in memory, indexing would not.
     flat = np.take(images.reshape(len(states), -1, 3), order, axis=1)
-    seen = np.take(covered.reshape(len(states), -1), order, axis=1).astype(np.float32)
-    return AppearanceIndex(states, flat.reshape(len(states), -1), seen, order, starts)
+    return RetrievalIndex(states, flat.reshape(len(states), -1), order, starts)
 
 
 def _tiles(intrinsics: Intrinsics) -> tuple[IntArray, IntArray]:
@@ -151,16 +135,19 @@ def states_around_views(
     return np.concatenate([own, moved])
 
 
-def best_distinct(space: StateSpace, states: FloatArray, costs: FloatArray, count: int) -> IntArray:
-    """Indices of the cheapest states that are not near a cheaper one, cheapest first.
+def best_distinct(
+    space: StateSpace, states: FloatArray, scores: FloatArray, count: int, scale: float = 1.0
+) -> IntArray:
+    """Indices of the best states that are not near a better one, best first.
 
     Args:
         space: what a state is.
         states: ``(N, D)``.
-        costs: ``(N,)``.
+        scores: ``(N,)``, higher is better.
         count: at most so many.
+        scale: factor on how far apart distinct states are.
     """
-    order = np.argsort(costs, kind="stable")
+    order = np.argsort(-scores, kind="stable")
     chosen: list[int] = []
     while len(order) and len(chosen) < count:
         best = int(order[0])
@@ -170,5 +157,5 @@ def best_distinct(space: StateSpace, states: FloatArray, costs: FloatArray, coun
             rest[:, : space.positions] - states[best, : space.positions], axis=1
         )
         angle = space.pair_angles(states[best : best + 1], rest)[0]
-        order = order[(distance > DISTINCT_POSITION) | (angle > DISTINCT_ANGLE)]
+        order = order[(distance > scale * DISTINCT_POSITION) | (angle > scale * DISTINCT_ANGLE)]
     return np.array(chosen, dtype=np.int64)

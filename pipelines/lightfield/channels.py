@@ -1,0 +1,106 @@
+"""What of a photo is compared: its colours, or channels that another lamp changes little.
+
+Light from elsewhere multiplies and shifts the grey levels of a neighbourhood; it hardly moves an
+edge. ``CONTRAST`` takes each colour's difference from the mean of its neighbourhood and divides it
+by the spread of the grey levels there (local contrast normalisation, Jarrett et al. 2009; the mean
+product of two such images is the mean of their local ZNCC scores). ``GRADIENT`` keeps the slopes of
+the grey levels, divided by how steep the neighbourhood is (as block-normalised gradients, Dalal and
+Triggs 2005), and their length.
+
+Channels are bytes like colours, 128 where there is nothing to see, and stand in the place of RGB:
+views of them are blended, and compared, by the same code. They are computed from each level of a
+photo's pyramid, so that a neighbourhood is as many pixels wide as in the image that it is compared
+with.
+"""
+
+from enum import Enum
+
+import cv2
+import numpy as np
+
+from pipelines.artifacts.array_types import BoolArray, Float32Array, ImageArray
+from pipelines.lightfield.views import Views
+
+# Side of the neighbourhood, pixels.
+WINDOW = 5
+# Grey levels: spreads and slopes below these are noise, and are not blown up.
+SMALLEST_SPREAD, SMALLEST_SLOPE = 3.0, 1.5
+# The channels' zero, and how much a spread of one is, as bytes.
+ZERO, SCALE = 128.0, 40.0
+# Luma of ITU-R BT.601.
+LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
+
+
+class Channels(Enum):
+    """What is compared."""
+
+    COLOUR = "colour"
+    CONTRAST = "contrast"
+    GRADIENT = "gradient"
+
+
+def channel_image(
+    image: ImageArray | Float32Array, channels: Channels, shown: BoolArray | None = None
+) -> Float32Array:
+    """The channels ``(H, W, 3)`` of an image, 0 to 255.
+
+    Args:
+        image: ``(H, W, 3)`` RGB, 0 to 255.
+        channels: which.
+        shown: ``(H, W)`` pixels that show the scene; others are no part of any neighbourhood.
+            None: all.
+    """
+    colours = np.asarray(image, dtype=np.float32)
+    if channels is Channels.COLOUR:
+        return colours
+    used = np.ones(colours.shape[:2], np.float32) if shown is None else shown.astype(np.float32)
+    filled = np.where(used[..., None] > 0.0, colours, np.float32(0.0))
+    share = np.maximum(_box(used), np.float32(1e-6))
+    values = (
+        _contrast(filled, used, share)
+        if channels is Channels.CONTRAST
+        else _gradient(filled, used, share)
+    )
+    return np.asarray(np.clip(ZERO + SCALE * values, 0.0, 255.0), dtype=np.float32)
+
+
+def _box(values: Float32Array) -> Float32Array:
+    """Mean over the neighbourhood of each pixel; images are mirrored at their borders."""
+    blurred = cv2.blur(values, (WINDOW, WINDOW), borderType=cv2.BORDER_REFLECT_101)
+    return np.asarray(blurred, dtype=np.float32)
+
+
+def _contrast(colours: Float32Array, used: Float32Array, share: Float32Array) -> Float32Array:
+    grey = colours @ LUMA
+    mean = _box(colours) / share[..., None]
+    variance = np.maximum(_box(grey * grey) / share - (_box(grey) / share) ** 2, np.float32(0.0))
+    spread = np.sqrt(variance + np.float32(SMALLEST_SPREAD**2))
+    return np.asarray(used[..., None] * (colours - mean) / spread[..., None])
+
+
+def _gradient(colours: Float32Array, used: Float32Array, share: Float32Array) -> Float32Array:
+    grey = cv2.copyMakeBorder(colours @ LUMA, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
+    known = cv2.copyMakeBorder(used, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
+    across = 0.5 * (grey[1:-1, 2:] - grey[1:-1, :-2]) * known[1:-1, 2:] * known[1:-1, :-2]
+    down = 0.5 * (grey[2:, 1:-1] - grey[:-2, 1:-1]) * known[2:, 1:-1] * known[:-2, 1:-1]
+    squares = across**2 + down**2
+    steepness = np.sqrt(_box(squares) / share + np.float32(SMALLEST_SLOPE**2))
+    slopes = np.stack([across, down, np.sqrt(squares)], axis=2)
+    return np.asarray(used[..., None] * slopes / steepness[..., None])
+
+
+def views_in_channels(views: Views, channels: Channels) -> Views:
+    """The same photos with these channels in the place of colours, at each pyramid level."""
+    if channels is Channels.COLOUR:
+        return views
+    arrays = views.arrays
+    texels = arrays.texels.copy()
+    for view in range(len(views)):
+        for level, start in enumerate(arrays.level_start[view]):
+            # Views with fewer levels repeat their last one.
+            if level > 0 and start == arrays.level_start[view, level - 1]:
+                break
+            width, height = arrays.level_size[view, level]
+            made = np.rint(channel_image(views.level(view, level), channels))
+            texels[start : start + width * height, :3] = made.reshape(-1, 3)
+    return Views(arrays._replace(texels=texels), views.intrinsics)

@@ -1,0 +1,68 @@
+"""Confidence: the probability that an estimate is within 0.1 m and 3 degrees of the truth.
+
+Two things can be wrong: the place, and where in it the body stands. The first is the probability
+that the filter gives the place, against all other places and against not seeing the map at all. The
+second is how much of the estimate's normal distribution lies within the bounds.
+"""
+
+import math
+
+import numpy as np
+from scipy.special import ndtri
+
+from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.errors import OptionError
+from pipelines.localize.state_space import state_space_of_dimension
+
+# What "right" means: metres and radians.
+POSITION_BOUND, ANGLE_BOUND = 0.1, math.radians(3.0)
+# A normal distribution is represented by so many points of a Halton sequence.
+POINTS = 512
+BASES = (2, 3, 5, 7, 11, 13)
+
+
+def confidence(probability: float, covariance: FloatArray) -> float:
+    """How probably an estimate is right.
+
+    Args:
+        probability: that the body is in the place of the estimate, 0 to 1.
+        covariance: ``(D, D)`` of the estimate's error there, metres and radians.
+
+    Raises:
+        OptionError: a probability outside of 0 to 1, or a covariance that is not finite.
+    """
+    if not 0.0 <= probability <= 1.0:
+        raise OptionError(f"probability {probability:g} lies outside 0 to 1")
+    if not np.all(np.isfinite(covariance)):
+        raise OptionError("the covariance is not finite")
+    return probability * share_within(covariance)
+
+
+def share_within(covariance: FloatArray) -> float:
+    """Share of a normal distribution with this covariance ``(D, D)`` within the bounds."""
+    positions = state_space_of_dimension(len(covariance)).positions
+    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    factor = vectors * np.sqrt(np.maximum(values, 0.0))
+    errors = _normal_points(len(covariance)) @ factor.T
+    metres = np.linalg.norm(errors[:, :positions], axis=1)
+    radians = np.linalg.norm(errors[:, positions:], axis=1)
+    return float(np.mean((metres <= POSITION_BOUND) & (radians <= ANGLE_BOUND)))
+
+
+def _normal_points(dimension: int) -> FloatArray:
+    """``(POINTS, dimension)`` evenly spread by a standard normal distribution."""
+    if dimension not in _KEPT:
+        columns = [_radical_inverses(base) for base in BASES[:dimension]]
+        _KEPT[dimension] = np.asarray(ndtri(np.stack(columns, axis=1)))
+    return _KEPT[dimension]
+
+
+def _radical_inverses(base: int) -> FloatArray:
+    rest, result, worth = np.arange(1, POINTS + 1), np.zeros(POINTS), 1.0 / base
+    while rest.any():
+        result += worth * (rest % base)
+        rest, worth = rest // base, worth / base
+    return result
+
+
+_KEPT: dict[int, FloatArray] = {}

@@ -1,0 +1,194 @@
+"""The measurement model p(image | state) of the paper's equation (2), and its absolute scale.
+
+Evidence is the logarithm of p(image | the map, seen from this state) / p(image | not the map):
+positive where the image speaks for the state, 0 where the map shows nothing there, negative where
+it speaks against it (``lightfield.pixel_evidence``). It is what says whether the image shows the
+map at all, whichever likelihood weighs the particles.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pipelines.artifacts.array_types import FloatArray
+from pipelines.lightfield.channels import Channels, views_in_channels
+from pipelines.lightfield.comparison import Cost, PixelEvidence
+from pipelines.lightfield.pixel_evidence import learn_evidence
+from pipelines.lightfield.proxy import Quality, quality_named
+from pipelines.lightfield.renderer import Renderer
+from pipelines.lightfield.scene import Scene
+from pipelines.lightfield.views import Views, views_of_scene
+from pipelines.localize.belief import Belief
+from pipelines.localize.likelihood import LIKELIHOODS, Likelihood
+from pipelines.localize.observation import Observation, Observations
+from pipelines.localize.places import compressed
+from pipelines.localize.refinement import Refined, refine
+from pipelines.localize.settings import LocalizerSettings
+from pipelines.localize.state_space import StateSpace
+
+# Photos are kept at so many times the width of the finest comparison.
+VIEW_RESOLUTION_FACTOR = 4
+# So many of the heaviest particles stand for a posterior.
+HEAVIEST = 64
+
+
+class MeasurementModel:
+    """Compares states with camera images, by the views rendered at them.
+
+    Args:
+        colours: the photos, in colours.
+        renderers: of the photos in the channels that are compared, CONTRAST among them.
+        space: what a state is.
+        body_from_camera: ``(4, 4)`` the camera's mount.
+        likelihood: how particles are weighted.
+    """
+
+    def __init__(
+        self,
+        colours: Views,
+        renderers: dict[Channels, Renderer],
+        space: StateSpace,
+        body_from_camera: FloatArray,
+        likelihood: Likelihood,
+    ) -> None:
+        self.space = space
+        self.body_from_camera = body_from_camera
+        self.likelihood = likelihood
+        self._colours = colours
+        self._renderers = renderers
+        absolute = likelihood if likelihood.cost is Cost.EVIDENCE else LIKELIHOODS["evidence"]
+        self._absolute = absolute
+        self._pixels: dict[int, PixelEvidence] = {}
+
+    @classmethod
+    def of_scene(
+        cls, scene: Scene, body_from_camera: FloatArray, settings: LocalizerSettings
+    ) -> "MeasurementModel":
+        """The model of a scene for a filter's settings.
+
+        Raises:
+            OptionError: a device that is not there, or a quality that needs depth maps.
+        """
+        side = VIEW_RESOLUTION_FACTOR * settings.fine_width
+        colours = views_of_scene(scene, side)
+        quality = quality_named(settings.quality, bool(scene.depth), Quality.MEDIUM)
+        likelihood = settings.likelihood
+        wanted = {likelihood.channels, LIKELIHOODS["evidence"].channels}
+        if likelihood.cost is Cost.EVIDENCE:
+            wanted = {likelihood.channels}
+        renderers = {
+            channels: Renderer.of_scene(
+                scene,
+                side,
+                settings.blending,
+                quality,
+                settings.threads,
+                settings.device,
+                views_in_channels(colours, channels),
+            )
+            for channels in wanted
+        }
+        return cls(colours, renderers, settings.state_space, body_from_camera, likelihood)
+
+    @property
+    def renderer(self) -> Renderer:
+        """Of the photos in the channels in which images are aligned and looked up."""
+        return self._renderers[self._absolute.channels]
+
+    @property
+    def channels(self) -> Channels:
+        """In which images are aligned and looked up."""
+        return self._absolute.channels
+
+    def log_likelihoods(self, states: FloatArray, observation: Observation) -> FloatArray:
+        """Log-likelihoods ``(M,)`` of states ``(M, D)``, up to a common constant."""
+        likelihood = self.likelihood
+        if likelihood.cost is Cost.EVIDENCE:
+            return self.evidence(states, observation, likelihood.one_pixel_in)
+        own = observation.in_channels(likelihood.channels)
+        costs = self._renderers[likelihood.channels].costs(
+            self._poses(states),
+            own.intrinsics,
+            own.thinned(likelihood.one_pixel_in),
+            likelihood.cost,
+            likelihood.fit_gain,
+        )
+        return -likelihood.sharpness * costs
+
+    def evidence(
+        self, states: FloatArray, observation: Observation, one_pixel_in: int = 1
+    ) -> FloatArray:
+        """What an image says for states ``(M, D)`` against "it does not show the map", ``(M,)``.
+
+        Args:
+            states: where.
+            observation: the image.
+            one_pixel_in: one in so many pixels is compared; they stand for all.
+        """
+        own = observation.in_channels(self.channels)
+        image = own.thinned(one_pixel_in)
+        compared = max(int(np.count_nonzero(np.isfinite(image[..., 0]))), 1)
+        usable = int(np.count_nonzero(own.used))
+        costs = self.renderer.costs(
+            self._poses(states),
+            own.intrinsics,
+            image,
+            Cost.EVIDENCE,
+            False,
+            self.pixels(own.intrinsics.width),
+        )
+        # Of all pixels, masked ones included: a part of an image is worth a part.
+        share = usable / compared / own.used.size
+        return -self._absolute.sharpness * share * costs
+
+    @property
+    def is_absolute(self) -> bool:
+        """Whether log-likelihoods are evidence."""
+        return self.likelihood.cost is Cost.EVIDENCE
+
+    def marginal_evidence(
+        self, belief: Belief, log_prior: FloatArray, observation: Observation
+    ) -> float:
+        """What an image says for the map as a whole, from a posterior that something else made.
+
+        The mean evidence over the posterior less its divergence from the prior; with weights that
+        are prior times evidence this is the logarithm of the prior's mean of the evidence.
+
+        Args:
+            belief: the posterior.
+            log_prior: ``(M,)`` its particles' weights before the image, adding up to 1.
+            observation: the image.
+        """
+        heaviest = np.argsort(-belief.log_weights, kind="stable")[:HEAVIEST]
+        log_weights = belief.log_weights[heaviest]
+        weights = np.exp(log_weights)
+        evidence = self.evidence(belief.states[heaviest], observation)
+        terms = evidence + log_prior[heaviest] - log_weights
+        known = np.isfinite(terms) & (weights > 0.0)
+        if not known.any():
+            return 0.0
+        mean = float(np.sum(weights[known] * terms[known]) / np.sum(weights[known]))
+        return float(compressed(mean))
+
+    def pixels(self, width: int) -> PixelEvidence:
+        """What differences say in images of this width; learnt when it is first needed."""
+        if width not in self._pixels:
+            own = self.renderer
+            self._pixels[width] = learn_evidence(
+                self._colours,
+                self.channels,
+                width,
+                lambda views: Renderer(views, own.plane, own.blending, own.quality, own.threads),
+                own.views,
+            )
+        return self._pixels[width]
+
+    def aligned(
+        self, state: FloatArray, observations: Observations, widths: Sequence[int]
+    ) -> Refined:
+        """A state aligned with the image in these sizes, coarse to fine."""
+        images = [observations.by_width[width].in_channels(self.channels) for width in widths]
+        return refine(self.renderer, self.space, state, self.body_from_camera, images)
+
+    def _poses(self, states: FloatArray) -> FloatArray:
+        return self.space.poses(states) @ self.body_from_camera
