@@ -68,10 +68,12 @@ class PixelEvidence:
             is how far its channels are from 128, summed up.
         table: ``(EVIDENCE_ROWS, EVIDENCE_BINS)`` logarithms of the likelihood ratio of a difference
             in each bin, for a pixel of each row's strength.
+        expected: ``(EVIDENCE_ROWS,)`` what a pixel of each row says on average at the right pose.
     """
 
     edges: Float32Array
     table: Float32Array
+    expected: Float32Array
 
     def rows(self, channels: Float32Array) -> Float32Array:
         """The row ``(...)``, 0 to EVIDENCE_ROWS - 1, of pixels ``(..., 3)``."""

@@ -129,13 +129,17 @@ def _pixel_evidence(left_out: list[_LeftOut], chosen: IntArray, poses: FloatArra
         edges = np.quantile(strengths, np.linspace(0.0, 1.0, EVIDENCE_ROWS + 1)[1:-1])
     middles = EVIDENCE_BIN * (np.arange(EVIDENCE_BINS) + 0.5)
     prior = np.exp(-middles / PRIOR_MEAN)
-    ratio = _densities(right, edges, prior) / _densities(elsewhere, edges, np.ones(EVIDENCE_BINS))
+    density = _densities(right, edges, prior)
+    ratio = density / _densities(elsewhere, edges, np.ones(EVIDENCE_BINS))
     table = np.log((1.0 - UNKNOWN_SHARE) * ratio + UNKNOWN_SHARE)
     between = np.concatenate([[0.0], edges, edges[-1:]])
     strength = 0.5 * (between[:-1] + between[1:])
     worth = strength**4 / (strength**4 + FAINT**4)
     table *= np.where(table > 0.0, worth[:, None], 1.0)
-    return PixelEvidence(edges.astype(np.float32), table.astype(np.float32))
+    expected = np.sum(density * table, axis=1)
+    return PixelEvidence(
+        edges.astype(np.float32), table.astype(np.float32), expected.astype(np.float32)
+    )
 
 
 def _densities(

@@ -147,7 +147,7 @@ class Informed:
         prediction = self._prediction(motion, before)
         if not observations.is_informative:
             self._belief, self._presence = self._unseen(prediction), before
-            return Update(self._belief, self._presence.inside)
+            return self._update(self._belief, prediction, motion)
         weighted = self._weighted(prediction, observations)
         share = self._doubt(weighted.evidence, before, observations)
         if share > prediction.anywhere_share:
@@ -158,7 +158,17 @@ class Informed:
         if self._presence.inside >= PRESENT:
             usual = weighted.evidence if self._usual is None else self._usual
             self._usual = usual + USUAL_RATE * (weighted.evidence - usual)
-        return Update(self._belief, self._presence.inside)
+        return self._update(self._belief, prediction, motion)
+
+    def _update(self, belief: Belief, prediction: Prediction, motion: FloatArray | None) -> Update:
+        """What is known now, and by which motion it was carried on."""
+        return Update(
+            belief,
+            self._presence.inside,
+            None if motion is None else self._calibration.corrected(motion),
+            prediction.position_sigma,
+            prediction.angle_sigma,
+        )
 
     def _doubt(self, evidence: float, before: Presence, observations: Observations) -> float:
         """How likely it is that the body is somewhere else, after an image with this evidence.

@@ -35,6 +35,7 @@ from pipelines.localize.run import FrameRecord
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import state_space_of_dimension
 from pipelines.localize.strategies import CoarseToFine, Condensation, Strategy, Update
+from pipelines.localize.track import Track
 
 # The body is followed while it is in one place of the map with this probability, all alternatives
 # counted (other places, outside of the map), and that place is narrower than this.
@@ -94,7 +95,12 @@ class Localizer:
         region = region_of(scene, settings)
         views = scene.world_from_camera
         self._strategy = _strategy(self._model, region, views, settings, rng)
-        self._has_been_found = False
+        self._track: Track | None = None
+        sigmas = np.array(
+            [settings.map_position_sigma] * self.space.positions
+            + [settings.map_heading_sigma] * self.space.angles
+        )
+        self._map_covariance = np.diag(sigmas**2)
         self._moved = np.zeros(self.space.dimension)
 
     def step(
@@ -158,18 +164,19 @@ class Localizer:
         modes = find_modes(belief)
         main = modes[0]
         status = self._status(update.inside, main, observations)
+        self._track = self._predicted_track(update)
         estimates: dict[str, FloatArray] = {}
-        refined = None
+        covariance = None
         if status != "lost":
             best = max_weight_state(belief)
             estimates = {"max_weight": best, "mean": mean_state(belief), "mode": main.state}
+        if status == "tracking" and self.settings.refine_width > 0:
+            self._track = self._followed(main, observations)
+            if self._track is not None:
+                estimates["refined"] = self._track.state
+                covariance = self._track.covariance + self._map_covariance
         if status == "tracking":
-            self._has_been_found = True
-            refined = self._refined(main, observations)
-            if refined is not None:
-                estimates["refined"] = refined.state
-            self._strategy.learn(main.state if refined is None else refined.state)
-        covariance = main.covariance if refined is None else refined.covariance
+            self._strategy.learn(estimates.get("refined", main.state))
         probability = update.inside * main.share if observations.is_informative else 0.0
         return FrameRecord(
             timestamp=timestamp,
@@ -180,11 +187,46 @@ class Localizer:
             modes=modes_table(modes),
             covariance=main.covariance,
             effective_sample_size=effective_sample_size(belief.log_weights),
-            confidence=confidence(probability, covariance),
+            confidence=confidence(
+                probability, main.covariance if covariance is None else covariance
+            ),
             status=status,
             seconds={},
-            refined_covariance=None if refined is None else refined.covariance,
+            refined_covariance=covariance,
         )
+
+    def _predicted_track(self, update: Update) -> Track | None:
+        """The track after the motion before this image."""
+        if self._track is None or update.motion is None:
+            return None
+        sigmas = np.array(
+            [update.position_sigma] * self.space.positions
+            + [update.angle_sigma] * self.space.angles
+        )
+        return self._track.predicted(self.space, update.motion, sigmas)
+
+    def _followed(self, main: Mode, observations: Observations) -> Track | None:
+        """The track after the image; None where neither it nor an alignment is in the main mode."""
+        track = self._track
+        if track is not None and not self._is_same_place(track.state, main.state):
+            track = None
+        refined = self._aligned(main.state if track is None else track.state, main, observations)
+        if refined is None:
+            return track
+        # Where light or contents have changed, errors are larger than an image's own tiles tell.
+        fine = observations.by_width[self.settings.fine_width]
+        explained = self._model.explained(refined.state, fine)
+        covariance = MODEL_ERROR**2 * refined.covariance
+        if track is None:
+            return Track(refined.state, covariance / explained**2)
+        return track.updated(self.space, refined.state, covariance, explained)
+
+    def _is_same_place(self, state: FloatArray, other: FloatArray) -> bool:
+        """Whether two states are not farther apart than a followed mode is wide."""
+        offset = self.space.difference(state, other)
+        p = self.space.positions
+        metres, radians = np.linalg.norm(offset[:p]), np.linalg.norm(offset[p:])
+        return bool(metres <= TRACKING_POSITION and radians <= TRACKING_HEADING)
 
     def _status(self, inside: float, main: Mode, observations: Observations) -> str:
         if observations.is_blind:
@@ -197,25 +239,15 @@ class Localizer:
             return "lost"
         return "global"
 
-    def _refined(self, main: Mode, observations: Observations) -> Refined | None:
-        """The main mode aligned with the image; None where that leads nowhere or elsewhere."""
+    def _aligned(self, start: FloatArray, main: Mode, observations: Observations) -> Refined | None:
+        """A state aligned with the image; None where that leads nowhere or elsewhere."""
         settings = self.settings
-        if settings.refine_width == 0:
-            return None
         widths = [width for width in settings.widths if width >= settings.fine_width]
-        refined = self._model.aligned(main.state, observations, widths)
-        if not math.isfinite(refined.error):
+        refined = self._model.aligned(start, observations, widths)
+        if not math.isfinite(refined.error) or not np.all(np.isfinite(refined.covariance)):
             return None
-        positions, angles = self.space.positions, self.space.angles
-        offset = self.space.difference(refined.state, main.state)
-        metres = float(np.linalg.norm(offset[:positions]))
-        radians = float(np.linalg.norm(offset[positions:]))
         # Another place is not a finer answer to the same question.
-        if metres > TRACKING_POSITION or radians > TRACKING_HEADING:
-            return None
-        sigmas = [settings.map_position_sigma] * positions + [settings.map_heading_sigma] * angles
-        covariance = MODEL_ERROR**2 * refined.covariance + np.diag(np.square(sigmas))
-        return replace(refined, covariance=covariance)
+        return refined if self._is_same_place(refined.state, main.state) else None
 
 
 def region_of(scene: Scene, settings: LocalizerSettings) -> Region:

@@ -27,9 +27,11 @@ from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import StateSpace
 
 # Photos are kept at so many times the width of the finest comparison.
-VIEW_RESOLUTION_FACTOR = 4
+VIEW_RESOLUTION_FACTOR = 8
 # So many of the heaviest particles stand for a posterior.
 HEAVIEST = 64
+# Images that are explained worse than this are not told apart.
+LEAST_EXPLAINED = 0.1
 
 
 class MeasurementModel:
@@ -140,6 +142,24 @@ class MeasurementModel:
         # Of all pixels, masked ones included: a part of an image is worth a part.
         share = usable / compared / own.used.size
         return -self._absolute.sharpness * share * costs
+
+    def explained(self, state: FloatArray, observation: Observation) -> float:
+        """How much of what an image says at a right pose in the map's own light it says here.
+
+        Args:
+            state: ``(D,)``.
+            observation: the image.
+
+        Returns:
+            1 where the image is explained as well as the map's own photos are by each other, less
+            where light or contents have changed; at most 1, and never below ``LEAST_EXPLAINED``.
+        """
+        own = observation.in_channels(self.channels)
+        pixels = self.pixels(own.intrinsics.width)
+        rows = pixels.rows(own.image[own.used]).astype(np.int64)
+        expected = self._absolute.sharpness * float(pixels.expected[rows].sum()) / own.used.size
+        found = float(self.evidence(state[None], observation)[0])
+        return min(max(found / max(expected, 1e-9), LEAST_EXPLAINED), 1.0)
 
     @property
     def is_absolute(self) -> bool:

@@ -45,10 +45,17 @@ class Update:
     Attributes:
         belief: where the body is, if the image shows the map.
         inside: probability that it does.
+        motion: ``(D,)`` the motion that it was carried on by, without odometry's known errors;
+            None: before the first image, or nobody knows.
+        position_sigma: of that motion's noise along each axis, metres.
+        angle_sigma: of its angles, radians.
     """
 
     belief: Belief
     inside: float
+    motion: FloatArray | None
+    position_sigma: float
+    angle_sigma: float
 
 
 class Strategy(Protocol):
@@ -128,8 +135,10 @@ class Condensation:
     ) -> Update:
         """See ``Strategy.update``; hypotheses are ignored."""
         states, log_weights = self._belief.states, self._belief.log_weights
+        motion = None
         if not self._is_first:
-            states, log_weights = self._drawn(checked_increment(self._model.space, increment))
+            motion = checked_increment(self._model.space, increment)
+            states, log_weights = self._drawn(motion)
             self._presence = self._presence.predicted()
         self._is_first = False
         self._belief = self._weighted(states, log_weights, observations)
@@ -137,7 +146,8 @@ class Condensation:
             fine = observations.by_width[self._settings.fine_width]
             evidence = self._model.marginal_evidence(self._belief, log_weights, fine)
             self._presence = self._presence.updated(evidence)
-        return Update(self._belief, self._presence.inside)
+        sigmas = self._settings.motion.standard_deviations(self._model.space, motion)
+        return Update(self._belief, self._presence.inside, motion, *sigmas)
 
     def learn(self, estimate: FloatArray) -> None:
         """The paper's filter learns nothing but its belief."""
