@@ -18,10 +18,11 @@ from pipelines.artifacts.array_types import FloatArray
 from pipelines.geometry.camera import Intrinsics
 from pipelines.localize.adaptation import uncalibrated
 from pipelines.localize.belief import Belief, Region, equal_log_weights, normalise_log_weights
+from pipelines.localize.camera_faults import CameraFaults
 from pipelines.localize.estimate import find_modes
 from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.motion import checked_increment
-from pipelines.localize.observation import Observations
+from pipelines.localize.observation import Observation, Observations
 from pipelines.localize.outside import Presence
 from pipelines.localize.places import labelled, weighed
 from pipelines.localize.population import next_count
@@ -45,6 +46,8 @@ SEARCHED, FOLLOWED = 20, 6
 # many states around each: standard deviations in metres and radians.
 RETRIEVED, AROUND = 300, 8
 AROUND_POSITION, AROUND_ANGLE = 0.2, 0.08
+# For a short look at a picture the other way round.
+GLANCED, GLANCED_AROUND = 100, 3
 # A start pose that is so uncertain, metres, is searched around as a whole map is.
 START_POSITION = 0.6
 # Around a start pose so many states are looked at.
@@ -62,6 +65,8 @@ LARGEST_PRIOR = 2_000
 CARRIED, MOST_CARRIED = 1e-3, 0.5
 # Below this probability of seeing the map at all, the whole map is searched.
 PRESENT = 0.8
+# An image that fits some place so well may show the map, although one alone does not prove it.
+PROMISING = 3.0
 # While several peaks are left, the body is with this probability where none of them is.
 UNDECIDED_SHARE = 0.05
 UNDECIDED_MODE_SHARE = 0.95
@@ -81,10 +86,11 @@ LARGEST_POSITION, LARGEST_ANGLE = 0.3, math.radians(10.0)
 
 @dataclass(frozen=True)
 class _Weighted:
-    """A belief and what the image said for the map."""
+    """A belief, what the image said for the map, and for the place that it fits best."""
 
     belief: Belief
     evidence: float
+    largest: float
 
 
 class Informed:
@@ -115,6 +121,7 @@ class Informed:
         self._index: RetrievalIndex | None = None
         self._belief: Belief | None = None
         self._presence = Presence()
+        self._faults = CameraFaults()
         self._usual: float | None = None
         self._calibration = uncalibrated(model.space.dimension)
         self._increment: FloatArray | None = None
@@ -158,16 +165,23 @@ class Informed:
         if self._presence.inside >= PRESENT:
             usual = weighted.evidence if self._usual is None else self._usual
             self._usual = usual + USUAL_RATE * (weighted.evidence - usual)
-        return self._update(self._belief, prediction, motion)
+        return self._update(self._belief, prediction, motion, weighted.largest)
 
-    def _update(self, belief: Belief, prediction: Prediction, motion: FloatArray | None) -> Update:
+    def _update(
+        self,
+        belief: Belief,
+        prediction: Prediction,
+        motion: FloatArray | None,
+        largest: float = -math.inf,
+    ) -> Update:
         """What is known now, and by which motion it was carried on."""
         return Update(
             belief,
-            self._presence.inside,
+            self._presence.inside * self._faults.none,
             None if motion is None else self._calibration.corrected(motion),
             prediction.position_sigma,
             prediction.angle_sigma,
+            largest >= PROMISING,
         )
 
     def _doubt(self, evidence: float, before: Presence, observations: Observations) -> float:
@@ -266,15 +280,16 @@ class Informed:
         log_likelihoods = self._model.log_likelihoods(states, observation)
         labels = labelled(self._space, states, hypotheses)
         prior = correction - math.log(count)
-        log_weights, evidence = weighed(prior, log_likelihoods, labels)
-        log_weights, has_weight = normalise_log_weights(log_weights)
+        image = weighed(prior, log_likelihoods, labels)
+        log_weights, has_weight = normalise_log_weights(image.log_weights)
         if not has_weight:
             # The image speaks against all alike: what was believed before it stands.
             log_weights, _ = normalise_log_weights(correction)
         belief = Belief(states, log_weights)
-        if not self._model.is_absolute:
-            evidence = self._model.marginal_evidence(belief, prior, observation)
-        return _Weighted(belief, evidence)
+        if self._model.is_absolute:
+            return _Weighted(belief, image.marginal, image.largest)
+        marginal = self._model.marginal_evidence(belief, prior, observation)
+        return _Weighted(belief, marginal, marginal)
 
     def _count(self, prediction: Prediction) -> int:
         settings = self._settings
@@ -339,18 +354,44 @@ class Informed:
     ) -> FloatArray:
         """States ``(count, D)`` from which the scene looks like the image."""
         settings, space = self._settings, self._space
-        coarse = observations.by_width[settings.coarse_width].in_channels(self._model.channels)
+        coarse = observations.by_width[settings.coarse_width]
         fine = observations.by_width[settings.fine_width]
         index = self._index_of(prediction, coarse.intrinsics)
-        best = np.argsort(-index.scores(coarse), kind="stable")[:RETRIEVED]
         scale = self._hypothesis_scale(prediction)
-        sigma = _spread(space, scale * AROUND_POSITION, scale * AROUND_ANGLE)
-        around = np.repeat(index.states[best], AROUND, axis=0)
-        around = space.moved(around, sigma * self._rng.standard_normal(around.shape))
-        states = np.concatenate([index.states[best], around])
-        one_in = self._model.likelihood.one_pixel_in
-        evidence = self._model.evidence(states, fine, one_in)
+        states, evidence = self._retrieved(index, coarse, fine, scale, RETRIEVED, AROUND)
+        if self._searches(prediction):
+            self._faults = self._faults.updated(
+                lambda image: self._most_evidence(index, image, scale), observations
+            )
         return states[best_distinct(space, states, evidence, count, scale)]
+
+    def _most_evidence(
+        self, index: RetrievalIndex, observations: Observations, scale: float
+    ) -> float:
+        """The most that an image says for any state, by a short look."""
+        coarse = observations.by_width[self._settings.coarse_width]
+        fine = observations.by_width[self._settings.fine_width]
+        _, evidence = self._retrieved(index, coarse, fine, scale, GLANCED, GLANCED_AROUND)
+        return float(np.max(evidence))
+
+    def _retrieved(
+        self,
+        index: RetrievalIndex,
+        coarse: Observation,
+        fine: Observation,
+        scale: float,
+        most: int,
+        copies: int,
+    ) -> tuple[FloatArray, FloatArray]:
+        """States ``(K, D)`` that look most like an image, others around them, their evidence."""
+        space = self._space
+        best = np.argsort(-index.scores(coarse.in_channels(self._model.channels)), kind="stable")
+        found = index.states[best[:most]]
+        sigma = _spread(space, scale * AROUND_POSITION, scale * AROUND_ANGLE)
+        around = np.repeat(found, copies, axis=0)
+        around = space.moved(around, sigma * self._rng.standard_normal(around.shape))
+        states = np.concatenate([found, around])
+        return states, self._model.evidence(states, fine, self._model.likelihood.one_pixel_in)
 
     def _index_of(self, prediction: Prediction, intrinsics: Intrinsics) -> RetrievalIndex:
         """Small views all over the region, or around a start pose."""

@@ -96,6 +96,7 @@ class Localizer:
         views = scene.world_from_camera
         self._strategy = _strategy(self._model, region, views, settings, rng)
         self._track: Track | None = None
+        self._has_been_found = settings.start is not None
         sigmas = np.array(
             [settings.map_position_sigma] * self.space.positions
             + [settings.map_heading_sigma] * self.space.angles
@@ -163,7 +164,7 @@ class Localizer:
         belief = update.belief
         modes = find_modes(belief)
         main = modes[0]
-        status = self._status(update.inside, main, observations)
+        status = self._status(update, main, observations)
         self._track = self._predicted_track(update)
         estimates: dict[str, FloatArray] = {}
         covariance = None
@@ -228,16 +229,16 @@ class Localizer:
         metres, radians = np.linalg.norm(offset[:p]), np.linalg.norm(offset[p:])
         return bool(metres <= TRACKING_POSITION and radians <= TRACKING_HEADING)
 
-    def _status(self, inside: float, main: Mode, observations: Observations) -> str:
+    def _status(self, update: Update, main: Mode, observations: Observations) -> str:
         if observations.is_blind:
             return "blind"
         if observations.is_stale:
             return "stale"
-        if inside * main.share >= TRACKING_PROBABILITY and _is_narrow(main):
+        if update.inside * main.share >= TRACKING_PROBABILITY and _is_narrow(main):
+            self._has_been_found = True
             return "tracking"
-        if inside < LOST_PROBABILITY:
-            return "lost"
-        return "global"
+        is_search = update.is_promising and not self._has_been_found
+        return "global" if update.inside >= LOST_PROBABILITY or is_search else "lost"
 
     def _aligned(self, start: FloatArray, main: Mode, observations: Observations) -> Refined | None:
         """A state aligned with the image; None where that leads nowhere or elsewhere."""

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.array_types import BoolArray, FloatArray
 from pipelines.lightfield.channels import Channels, views_in_channels
 from pipelines.lightfield.comparison import Cost, PixelEvidence
 from pipelines.lightfield.pixel_evidence import learn_evidence
@@ -61,6 +61,9 @@ class MeasurementModel:
         absolute = likelihood if likelihood.cost is Cost.EVIDENCE else LIKELIHOODS["evidence"]
         self._absolute = absolute
         self._pixels: dict[int, PixelEvidence] = {}
+        distances = self.renderer.plane.signed_distance(colours.centres)
+        usual = float(np.median(distances[distances > 0.0])) if np.any(distances > 0.0) else 0.0
+        self._least_distance = usual / VIEW_RESOLUTION_FACTOR
 
     @classmethod
     def of_scene(
@@ -141,7 +144,19 @@ class MeasurementModel:
         )
         # Of all pixels, masked ones included: a part of an image is worth a part.
         share = usable / compared / own.used.size
-        return -self._absolute.sharpness * share * costs
+        return np.where(self._is_too_near(states), 0.0, -self._absolute.sharpness * share * costs)
+
+    def _is_too_near(self, states: FloatArray) -> BoolArray:
+        """Which states ``(M, D)`` have the camera nearer to the plane than photos can show.
+
+        There the photos have fewer pixels than the image that is compared, and what is rendered is
+        blurred, whatever the scene.
+        """
+        renderer = self.renderer
+        if renderer.quality is not Quality.PLANE:
+            return np.zeros(len(states), dtype=np.bool_)
+        distances = renderer.plane.signed_distance(self._poses(states)[:, :3, 3])
+        return np.asarray(distances < self._least_distance, dtype=np.bool_)
 
     def explained(self, state: FloatArray, observation: Observation) -> float:
         """How much of what an image says at a right pose in the map's own light it says here.

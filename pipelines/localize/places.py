@@ -13,6 +13,7 @@ Several images of which each speaks for a place add up; no single one decides ag
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -67,27 +68,51 @@ def _distances(
     return metres, space.pair_angles(states, others)
 
 
-def weighed(
-    log_prior: FloatArray, log_likelihoods: FloatArray, labels: IntArray
-) -> tuple[FloatArray, float]:
+@dataclass(frozen=True)
+class Weighed:
+    """What an image makes of weighted particles.
+
+    Attributes:
+        log_weights: ``(M,)`` posterior weights, not normalised.
+        marginal: evidence of the image for the map, averaged over the prior of the places (of all
+            particles, where none is in any): where a pose sees nothing of the map, being there is
+            as good as being outside.
+        largest: compressed evidence for the place that the image fits best.
+    """
+
+    log_weights: FloatArray
+    marginal: float
+    largest: float
+
+
+def weighed(log_prior: FloatArray, evidence: FloatArray, labels: IntArray) -> Weighed:
     """Posterior weights with an image's evidence compressed between places.
+
+    Within a place weights are prior times evidence. The place as a whole is worth less by how much
+    its evidence, the posterior's mean there, loses by being compressed. Particles in no place are
+    on the slopes of the best one, or see nothing: they are worth as much less as that one.
 
     Args:
         log_prior: ``(M,)`` weights of the particles before the image, which add up to 1 on average
             over the particles that might have been drawn.
-        log_likelihoods: ``(M,)`` evidence of the image at the particles.
+        evidence: ``(M,)`` of the image at the particles.
         labels: ``(M,)`` see ``labelled``.
-
-    Returns:
-        Log-weights ``(M,)``, not normalised, and the marginal evidence of the image for the map.
     """
-    log_weights = np.full(len(log_prior), -np.inf)
-    for place in np.unique(labels):
-        own = labels == place
-        prior = float(logsumexp(log_prior[own]))
-        posterior = float(logsumexp(log_prior[own] + log_likelihoods[own]))
-        if not (math.isfinite(prior) and math.isfinite(posterior)):
+    exact = log_prior + evidence
+    if not np.any(labels > 0):
+        labels = labels + 1
+    loss = np.zeros(len(exact))
+    largest, loss_of_best = -math.inf, 0.0
+    for place in np.unique(labels[labels > 0]):
+        own = (labels == place) & np.isfinite(exact)
+        if not own.any():
             continue
-        change = float(compressed(posterior - prior)) - (posterior - prior)
-        log_weights[own] = log_prior[own] + log_likelihoods[own] + change
-    return log_weights, float(logsumexp(log_weights))
+        shares = np.exp(exact[own] - logsumexp(exact[own]))
+        mean = float(shares @ evidence[own])
+        kept = float(compressed(mean))
+        loss[own] = mean - kept
+        if kept > largest:
+            largest, loss_of_best = kept, mean - kept
+    loss[labels == 0] = loss_of_best
+    log_weights = exact - loss
+    return Weighed(log_weights, float(logsumexp(log_weights[labels > 0])), largest)

@@ -49,6 +49,7 @@ class Update:
             None: before the first image, or nobody knows.
         position_sigma: of that motion's noise along each axis, metres.
         angle_sigma: of its angles, radians.
+        is_promising: whether the image fits some place, although that is not yet probable.
     """
 
     belief: Belief
@@ -56,6 +57,7 @@ class Update:
     motion: FloatArray | None
     position_sigma: float
     angle_sigma: float
+    is_promising: bool = False
 
 
 class Strategy(Protocol):
