@@ -30,12 +30,11 @@ from pipelines.localize.informed import Informed
 from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.motion import checked_increment
 from pipelines.localize.observation import Observations, Observer
-from pipelines.localize.refinement import Refined
 from pipelines.localize.run import FrameRecord
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import state_space_of_dimension
 from pipelines.localize.strategies import CoarseToFine, Condensation, Strategy, Update
-from pipelines.localize.track import Track
+from pipelines.localize.track import MOST_REJECTED, Track
 
 # The body is followed while it is in one place of the map with this probability, all alternatives
 # counted (other places, outside of the map), and that place is narrower than this.
@@ -45,7 +44,7 @@ LOST_PROBABILITY = 0.5
 TRACKING_POSITION, TRACKING_HEADING = 0.35, math.radians(10.0)
 # Errors of the model (reflections, a surface that is not quite there) reach farther than a tile of
 # the image: the alignment's standard deviations times this cover the truth as often as they should.
-MODEL_ERROR = 3.3
+MODEL_ERROR = 2.0
 # An image that is the one before does not belong to where the body is once it has moved so far:
 # metres and radians.
 STALE_POSITION, STALE_ANGLE = 0.01, math.radians(0.3)
@@ -176,8 +175,8 @@ class Localizer:
             if self._track is not None:
                 estimates["refined"] = self._track.state
                 covariance = self._track.covariance + self._map_covariance
-        if status == "tracking":
-            self._strategy.learn(estimates.get("refined", main.state))
+        if status == "tracking" and self._track is not None and self._track.measured is not None:
+            self._strategy.learn(self._track.measured)
         probability = update.inside * main.share if observations.is_informative else 0.0
         return FrameRecord(
             timestamp=timestamp,
@@ -209,18 +208,29 @@ class Localizer:
     def _followed(self, main: Mode, observations: Observations) -> Track | None:
         """The track after the image; None where neither it nor an alignment is in the main mode."""
         track = self._track
-        if track is not None and not self._is_same_place(track.state, main.state):
+        if track is not None and not (
+            track.rejected < MOST_REJECTED and self._is_same_place(track.state, main.state)
+        ):
             track = None
-        refined = self._aligned(main.state if track is None else track.state, main, observations)
-        if refined is None:
-            return track
+        start = main.state if track is None else track.state
         # Where light or contents have changed, errors are larger than an image's own tiles tell.
         fine = observations.by_width[self.settings.fine_width]
-        explained = self._model.explained(refined.state, fine)
-        covariance = MODEL_ERROR**2 * refined.covariance
+        usual = MODEL_ERROR**2
+        doubt = usual / self._model.explained(start, fine) ** 2
+        widths = [width for width in self.settings.widths if width >= self.settings.fine_width]
+        aligned = self._model.aligned(start, observations, widths)
+        is_usable = math.isfinite(aligned.error) and bool(np.all(np.isfinite(aligned.covariance)))
         if track is None:
-            return Track(refined.state, covariance / explained**2)
-        return track.updated(self.space, refined.state, covariance, explained)
+            # Another place is not a finer answer to the same question.
+            if not (is_usable and self._is_same_place(aligned.state, main.state)):
+                return None
+            return Track(aligned.state, doubt * aligned.covariance, 0, aligned.state)
+        # An image that is explained less counts less, but is left out as soon as any other.
+        if is_usable and track.accepts(self.space, aligned, usual):
+            return track.updated(self.space, aligned, doubt)
+        return track.held(
+            self.space, self._model.aligned(start, observations, widths, track.prior(doubt))
+        )
 
     def _is_same_place(self, state: FloatArray, other: FloatArray) -> bool:
         """Whether two states are not farther apart than a followed mode is wide."""
@@ -239,16 +249,6 @@ class Localizer:
             return "tracking"
         is_search = update.is_promising and not self._has_been_found
         return "global" if update.inside >= LOST_PROBABILITY or is_search else "lost"
-
-    def _aligned(self, start: FloatArray, main: Mode, observations: Observations) -> Refined | None:
-        """A state aligned with the image; None where that leads nowhere or elsewhere."""
-        settings = self.settings
-        widths = [width for width in settings.widths if width >= settings.fine_width]
-        refined = self._model.aligned(start, observations, widths)
-        if not math.isfinite(refined.error) or not np.all(np.isfinite(refined.covariance)):
-            return None
-        # Another place is not a finer answer to the same question.
-        return refined if self._is_same_place(refined.state, main.state) else None
 
 
 def region_of(scene: Scene, settings: LocalizerSettings) -> Region:

@@ -22,7 +22,7 @@ from pipelines.localize.belief import Belief
 from pipelines.localize.likelihood import LIKELIHOODS, Likelihood
 from pipelines.localize.observation import Observation, Observations
 from pipelines.localize.places import compressed
-from pipelines.localize.refinement import Refined, refine
+from pipelines.localize.refinement import Prior, Refined, refine
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import StateSpace
 
@@ -219,11 +219,15 @@ class MeasurementModel:
         return self._pixels[width]
 
     def aligned(
-        self, state: FloatArray, observations: Observations, widths: Sequence[int]
+        self,
+        state: FloatArray,
+        observations: Observations,
+        widths: Sequence[int],
+        prior: Prior | None = None,
     ) -> Refined:
-        """A state aligned with the image in these sizes, coarse to fine."""
+        """A state aligned with the image in these sizes, coarse to fine; see ``refine``."""
         images = [observations.by_width[width].in_channels(self.channels) for width in widths]
-        return refine(self.renderer, self.space, state, self.body_from_camera, images)
+        return refine(self.renderer, self.space, state, self.body_from_camera, images, prior=prior)
 
     def _poses(self, states: FloatArray) -> FloatArray:
         return self.space.poses(states) @ self.body_from_camera

@@ -73,6 +73,22 @@ class Refined:
 
 
 @dataclass(frozen=True)
+class Prior:
+    """What is known of a state before the image is aligned.
+
+    Attributes:
+        state: ``(D,)``.
+        information: ``(D, D)`` inverse covariance of its error.
+        doubt: factor on the variances that the image's own tiles tell: errors of the model reach
+            farther than a tile.
+    """
+
+    state: FloatArray
+    information: FloatArray
+    doubt: float
+
+
+@dataclass(frozen=True)
 class _Look:
     """The view rendered at a state, with the brightness that fits the camera image.
 
@@ -165,8 +181,13 @@ def refine(
     body_from_camera: FloatArray,
     observations: Sequence[Observation],
     iterations: int = 8,
+    prior: Prior | None = None,
 ) -> Refined:
     """Aligns a state with a camera image.
+
+    With a prior the result is the most probable state by both (an iterated extended Kalman filter,
+    Bell and Cathey 1993), and its covariance that of the posterior. The image's information is its
+    Hessian, divided by how much larger errors are than independent pixels would have them.
 
     Args:
         renderer: of the scene.
@@ -175,32 +196,38 @@ def refine(
         body_from_camera: ``(4, 4)`` the camera's mount.
         observations: the camera image from coarse to fine.
         iterations: at most, on each level.
+        prior: None: the image alone.
     """
     result = _failed(space, np.array(state, dtype=np.float64))
     for observation in observations:
         target = prepared(observation.image)
         level = _Level(renderer, space, body_from_camera, observation.intrinsics, target)
-        result = _refine_level(level, result.state, iterations)
+        result = _refine_level(level, result.state, iterations, prior)
         if not math.isfinite(result.error):
             break
     return result
 
 
-def _refine_level(level: _Level, state: FloatArray, iterations: int) -> Refined:
+def _refine_level(
+    level: _Level, state: FloatArray, iterations: int, prior: Prior | None
+) -> Refined:
     """``refine`` on one image size."""
     look = level.look(state)
     if look is None:
         return _failed(level.space, state)
     damping, converged = FIRST_DAMPING, False
     hessian, gradient, clusters = level.normal_equations(state, look)
+    pull = _Pull(level, prior, hessian, clusters)
     for _ in range(iterations):
-        step = _step(level.space, hessian, gradient, damping)
+        step = _step(level.space, hessian + pull.hessian, gradient + pull.gradient(state), damping)
         converged = _in_pixels(level, look, step) < STEP_PIXELS
         if converged:
             break
         proposed = level.space.moved(state, step)
         then = level.look(proposed)
-        if then is not None and level.error(then, look.scale) < level.error(look, look.scale):
+        if then is not None and level.error(then, look.scale) + pull.error(proposed) < level.error(
+            look, look.scale
+        ) + pull.error(state):
             state, look = proposed, then
             hessian, gradient, clusters = level.normal_equations(state, look)
             damping = max(damping / DAMPING_FACTOR, FIRST_DAMPING)
@@ -209,11 +236,50 @@ def _refine_level(level: _Level, state: FloatArray, iterations: int) -> Refined:
             break
         else:
             damping *= DAMPING_FACTOR
-    inverse = np.linalg.pinv(hessian, hermitian=True)
-    covariance = inverse @ (clusters.T @ clusters) @ inverse
+    if prior is None:
+        inverse = np.linalg.pinv(hessian, hermitian=True)
+        covariance = inverse @ (clusters.T @ clusters) @ inverse
+    else:
+        covariance = np.linalg.inv(hessian / pull.dispersion + prior.information)
     error = level.error(look, look.scale)
     curvature = hessian / (3.0 * look.view.covered.size)
     return Refined(state, 0.5 * (covariance + covariance.T), curvature, error, converged)
+
+
+class _Pull:
+    """The prior's part of an alignment, in the units of the image's.
+
+    Args:
+        level: of the alignment.
+        prior: None: there is none.
+        hessian: ``(D, D)`` of the image where the level begins.
+        clusters: ``(T, D)`` gradients of its tiles there.
+    """
+
+    def __init__(
+        self, level: _Level, prior: Prior | None, hessian: FloatArray, clusters: FloatArray
+    ) -> None:
+        self._level, self._prior = level, prior
+        self.dispersion = 1.0
+        self.hessian = np.zeros_like(hessian)
+        if prior is not None:
+            # Errors' mean square over what independent ones of the Hessian's own scale would have.
+            spread = np.trace(np.linalg.pinv(hessian, hermitian=True) @ (clusters.T @ clusters))
+            self.dispersion = prior.doubt * max(float(spread) / len(hessian), 1e-9)
+            self.hessian = self.dispersion * prior.information
+
+    def gradient(self, state: FloatArray) -> FloatArray:
+        """Of the prior ``(D,)``."""
+        if self._prior is None:
+            return np.zeros(len(self.hessian))
+        return self.hessian @ self._level.space.difference(state, self._prior.state)
+
+    def error(self, state: FloatArray) -> float:
+        """The prior's share of the mean error, squared grey levels."""
+        if self._prior is None:
+            return 0.0
+        offset = self._level.space.difference(state, self._prior.state)
+        return float(offset @ self.hessian @ offset) / (6.0 * self._level.target[..., 0].size)
 
 
 def _failed(space: StateSpace, state: FloatArray) -> Refined:

@@ -5,11 +5,12 @@ images before. Between images stands odometry. Both are joined by a Kalman filte
 space of a state (Thrun, Burgard, Fox, *Probabilistic Robotics*, chapter 3): its prediction is the
 motion model's, its measurement the alignment.
 
-The gate is the normalised innovation squared (Bar-Shalom, Li, Kirubarajan 2001, *Estimation with
-Applications to Tracking and Navigation*, section 5.4). An alignment that lies farther from the
-prediction than both their covariances allow has ended in another minimum: in front of a wall, a
-step aside and a turn back look almost the same. It is left out, and what odometry says stands,
-until several images running agree that it is odometry that errs.
+In front of a wall a step aside and a turn back look almost the same, and an alignment may end
+decimetres away. The gate is the normalised innovation squared (Bar-Shalom, Li, Kirubarajan 2001,
+*Estimation with Applications to Tracking and Navigation*, section 5.4): an alignment farther from
+the prediction than both covariances allow has ended in another minimum. The image is then aligned
+once more with the prediction as its prior (an iterated extended Kalman filter), which stays in the
+nearest one. After several such images running the track is given up: it is odometry that errs.
 """
 
 from dataclasses import dataclass, replace
@@ -18,6 +19,7 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from pipelines.artifacts.array_types import FloatArray
+from pipelines.localize.refinement import Prior, Refined
 from pipelines.localize.state_space import StateSpace
 
 # An alignment is left out when a right one would be nearer with this probability.
@@ -36,11 +38,13 @@ class Track:
         state: ``(D,)``.
         covariance: ``(D, D)`` of its error, the map's apart.
         rejected: alignments running that were left out.
+        measured: ``(D,)`` where the last image alone had the body; None where it was not accepted.
     """
 
     state: FloatArray
     covariance: FloatArray
     rejected: int = 0
+    measured: FloatArray | None = None
 
     def predicted(self, space: StateSpace, motion: FloatArray, sigmas: FloatArray) -> "Track":
         """After a motion ``(D,)`` in the body's frame with noise ``(D,)`` along each axis."""
@@ -50,36 +54,41 @@ class Track:
         )
         columns = space.difference(space.composed(steps, motion), state) / STEP
         covariance = columns.T @ self.covariance @ columns + np.diag(sigmas**2)
-        return replace(self, state=state, covariance=0.5 * (covariance + covariance.T))
+        covariance = 0.5 * (covariance + covariance.T)
+        return replace(self, state=state, covariance=covariance, measured=None)
 
-    def updated(
-        self, space: StateSpace, aligned: FloatArray, covariance: FloatArray, explained: float
-    ) -> "Track":
-        """After an alignment.
+    def prior(self, doubt: float) -> Prior:
+        """What it says of the state before an image is aligned; see ``Prior``."""
+        information = np.asarray(np.linalg.inv(self.covariance), dtype=np.float64)
+        return Prior(self.state, information, doubt)
+
+    def accepts(self, space: StateSpace, aligned: Refined, doubt: float) -> bool:
+        """Whether an alignment by the image alone ended where a right one may.
 
         Args:
             space: what a state is.
-            aligned: ``(D,)`` where it ended.
-            covariance: ``(D, D)`` of its error, as far as the image itself tells.
-            explained: how much of the image is explained, 0 to 1; with less of it an alignment
-                counts less, but is left out as soon as if all were.
-
-        Returns:
-            The track, unchanged where the alignment does not fit; after ``MOST_REJECTED`` of them
-            running it begins anew there.
+            aligned: without a prior.
+            doubt: factor on its variances.
         """
-        innovation = space.difference(aligned, self.state)
-        distance = np.linalg.solve(self.covariance + covariance, innovation) @ innovation
-        covariance = covariance / explained**2
-        if float(distance) > _gate(space.dimension):
-            if self.rejected + 1 >= MOST_REJECTED:
-                return Track(aligned, covariance)
-            return replace(self, rejected=self.rejected + 1)
-        total = self.covariance + covariance
-        weighted = np.linalg.solve(total, innovation)
-        state = space.moved(self.state, self.covariance @ weighted)
+        innovation = space.difference(aligned.state, self.state)
+        total = self.covariance + doubt * aligned.covariance
+        return bool(innovation @ np.linalg.solve(total, innovation) <= _gate(space.dimension))
+
+    def updated(self, space: StateSpace, aligned: Refined, doubt: float) -> "Track":
+        """After an alignment by the image alone that was accepted; see ``accepts``."""
+        innovation = space.difference(aligned.state, self.state)
+        total = self.covariance + doubt * aligned.covariance
+        state = space.moved(self.state, self.covariance @ np.linalg.solve(total, innovation))
         left = self.covariance - self.covariance @ np.linalg.solve(total, self.covariance)
-        return Track(state, 0.5 * (left + left.T))
+        return Track(state, 0.5 * (left + left.T), 0, aligned.state)
+
+    def held(self, space: StateSpace, aligned: Refined) -> "Track":
+        """After an alignment with its prior, where that by the image alone was not accepted."""
+        innovation = space.difference(aligned.state, self.state)
+        distance = innovation @ np.linalg.solve(self.covariance, innovation)
+        if not aligned.converged or float(distance) > _gate(space.dimension):
+            return replace(self, rejected=self.rejected + 1)
+        return Track(aligned.state, aligned.covariance, self.rejected + 1)
 
 
 def _gate(dimension: int) -> float:
