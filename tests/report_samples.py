@@ -42,8 +42,19 @@ def photo_from(pose: FloatArray, camera: Intrinsics = CAMERA.intrinsics) -> Imag
     rays = rays @ pose[:3, :3].T
     reach = -pose[1, 3] / rays[..., 1]
     x, z = pose[0, 3] + reach * rays[..., 0], pose[2, 3] + reach * rays[..., 2]
-    colours = [128 + 90 * np.sin(2 * x), 128 + 90 * np.cos(x + 2 * z), 128 + 90 * np.sin(3 * z)]
-    return np.stack(colours, axis=-1).astype(np.uint8)
+    return painting(x, z).astype(np.uint8)
+
+
+def painting(x: FloatArray, z: FloatArray) -> FloatArray:
+    """RGB ``(..., 3)`` of the wall: broad shades under a pattern with edges, every 2 pi in x."""
+    tiles = np.tanh(3.0 * np.sin(5.0 * x + np.sin(z))) * np.tanh(3.0 * np.cos(7.0 * z + np.sin(x)))
+    stripes = np.tanh(3.0 * np.sin(3.0 * x + 4.0 * z))
+    return 128.0 + shades(x, z) * 60.0 + np.stack([tiles, stripes, -tiles], axis=-1) * 40.0
+
+
+def shades(x: FloatArray, z: FloatArray) -> FloatArray:
+    """``(..., 3)``, -1 to 1: how the colours change from place to place, without any edge."""
+    return np.stack([np.sin(2.0 * x), np.cos(x + 2.0 * z), np.sin(3.0 * z)], axis=-1)
 
 
 def wall_scene() -> Scene:
