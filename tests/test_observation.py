@@ -70,11 +70,16 @@ def test_images_are_counted_and_what_is_fixed_stays_left_out() -> None:
     observer = Observer(CAMERA, [24])
     numbers = [observer(taped(photo(state))).by_width[24].number for state in WAY]
     assert numbers == list(range(len(WAY)))
-    image = np.ones((30, 40, 3), dtype=np.float32)
+    image = np.ones((34, 40, 3), dtype=np.float32)
     image[:4] = np.nan
     remaining = ~np.isnan(Observation(image, CAMERA.intrinsics).thinned(5)[..., 0])
     assert not remaining[:4].any()
-    np.testing.assert_array_equal(remaining[4:], kept(0, 5, 30, 40)[4:])
+    np.testing.assert_array_equal(remaining[4:], kept(0, 5, 34, 40)[4:])
+    # A row less, and a fifth of what is left would be too few.
+    image[4] = np.nan
+    remaining = ~np.isnan(Observation(image, CAMERA.intrinsics).thinned(5)[..., 0])
+    assert remaining.sum() >= FEWEST_COMPARED
+    np.testing.assert_array_equal(remaining[5:], kept(0, 3, 34, 40)[5:])
 
 
 # --- what is fixed to the camera ---------------------------------------------------------------
