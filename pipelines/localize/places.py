@@ -20,6 +20,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.special import logsumexp
 
 from pipelines.artifacts.array_types import FloatArray, IntArray
+from pipelines.artifacts.errors import StageError
 from pipelines.localize.state_space import StateSpace
 
 # Natural units of evidence beyond which it is compressed.
@@ -80,7 +81,13 @@ def weighed(
 
     Returns:
         Log-weights ``(M,)``, not normalised, and the marginal evidence of the image for the map.
+
+    Raises:
+        StageError: log-likelihoods that are NaN or +inf: the comparison is broken.
     """
+    broken = int(np.count_nonzero(np.isnan(log_likelihoods) | np.isposinf(log_likelihoods)))
+    if broken:
+        raise StageError(f"{broken} of {len(log_likelihoods)} log-likelihoods are NaN or +inf")
     log_weights = np.full(len(log_prior), -np.inf)
     for place in np.unique(labels):
         own = labels == place
