@@ -34,6 +34,7 @@ from pipelines.lightfield.reference import render_reference
 from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.views import Views, build_views
 from tests.lightfield_samples import WALL, looking, noise_views, pinhole, tilted_wall
+from tests.test_evidence_cost import random_evidence
 from tests.test_renderers_agree import (
     ARRANGEMENTS,
     RESOLUTIONS,
@@ -172,6 +173,47 @@ def test_costs_of_nets_and_depth_maps(gpu: Gpu, blending: Blending, quality: Qua
     for cost in (Cost.SQUARED, Cost.ROBUST):
         expected = renderer.costs(poses, CAMERA, query, cost, True)
         assert_same_costs(card.costs(poses, CAMERA, query, cost, True), expected)
+
+
+@pytest.mark.parametrize(
+    ("blending", "quality"),
+    [
+        (Blending.UNSTRUCTURED, Quality.PLANE),
+        (Blending.DELAUNAY, Quality.PLANE),
+        (Blending.UNSTRUCTURED, Quality.MEDIUM),
+        (Blending.DELAUNAY, Quality.MEDIUM),
+    ],
+)
+def test_evidence(gpu: Gpu, blending: Blending, quality: Quality) -> None:
+    for number, arrangement in enumerate((general, grazing, many)):
+        generator = np.random.default_rng([31, number])
+        views, plane, pose = arrangement(generator)
+        if quality is not Quality.PLANE:
+            views = with_depth(views, generator, 0.8)
+        camera = RESOLUTIONS[number]
+        renderer = Renderer(views, plane, blending, quality, threads=1)
+        card = GpuRenderer(views, plane, blending, quality, gpu=gpu)
+        poses = np.concatenate([pose[None], poses_around(generator, 30)])
+        query = camera_image(renderer, pose, camera, generator)
+        # More rows and columns than pixels in a group of four, and no entry like another.
+        evidence = random_evidence(generator)
+        expected, found = (
+            each.costs(poses, camera, query, Cost.EVIDENCE, False, evidence)
+            for each in (renderer, card)
+        )
+        # Where a difference lies on the border of two bins, rounding decides; that is rare.
+        largest = np.abs(np.diff(evidence.table, axis=1)).max()
+        difference = np.abs(found - expected)
+        assert np.median(difference) < 1e-3
+        assert difference.max() < 3.0 * largest
+        # What is not covered adds exactly nothing, the table of the last call is not remembered.
+        away = looking([0.2, -2.5, 1.0], [0.1, -9.0, 1.0])[None]
+        assert card.costs(away, camera, query, Cost.EVIDENCE, False, evidence)[0] == 0.0
+        doubled = replace(evidence, table=2.0 * evidence.table)
+        again = card.costs(poses, camera, query, Cost.EVIDENCE, False, doubled)
+        np.testing.assert_allclose(again, 2.0 * found, rtol=1e-5, atol=1e-4)
+        with pytest.raises(OptionError, match="takes a table of evidence"):
+            card.costs(poses, camera, query, Cost.EVIDENCE, False)
 
 
 def some_work(seed: int) -> tuple[Views, Plane, FloatArray, Float32Array]:
