@@ -127,6 +127,8 @@ def _pixel_evidence(left_out: list[_LeftOut], chosen: IntArray, poses: FloatArra
     edges = PRIOR_EDGES
     if len(strengths) >= PRIOR_PIXELS:
         edges = np.quantile(strengths, np.linspace(0.0, 1.0, EVIDENCE_ROWS + 1)[1:-1])
+        # Where much of the photos is blank, all that is blank stays in a row without strong pixels.
+        edges = np.maximum(edges, PRIOR_EDGES[0])
     middles = EVIDENCE_BIN * (np.arange(EVIDENCE_BINS) + 0.5)
     prior = np.exp(-middles / PRIOR_MEAN)
     ratio = _densities(right, edges, prior) / _densities(elsewhere, edges, np.ones(EVIDENCE_BINS))
