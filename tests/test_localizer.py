@@ -262,6 +262,48 @@ def test_a_known_start_and_black_images_are_blind_and_not_tracked(make: Any) -> 
     assert record.confidence == 0.0
 
 
+@every_strategy
+def test_a_camera_that_hangs_is_stale_once_odometry_moves(make: Any) -> None:
+    images = [photo(state) for state in TRUTH[:4]] + [photo(TRUTH[3])] * 3 + [photo(TRUTH[7])]
+    records = drive(localizer(make(start=START, start_position_sigma=0.1)), TRUTH, images)
+    assert "stale" not in {record.status for record in records[:4]}
+    for record, truth in zip(records[4:7], TRUTH[4:7], strict=True):
+        assert record.status == "stale"
+        assert record.confidence == 0.0
+        assert record.refined_covariance is None
+        # Odometry carries the estimate, the old image does not hold it back.
+        assert position_error(record, truth, "mean") < 0.2
+    assert records[7].status != "stale"
+    assert position_error(records[7], TRUTH[7]) < 0.3
+
+
+@every_strategy
+def test_the_same_image_of_a_robot_that_stands_still_is_not_stale(make: Any) -> None:
+    robot = localizer(make(start=START, start_position_sigma=0.1))
+    image, nothing = photo(TRUTH[0]), np.zeros(3)
+    words = {robot.step(image, motion).status for motion in (None, nothing, nothing, None, None)}
+    assert "stale" not in words
+    # Steps too small to be seen add up; turning counts as well.
+    for step in ([0.004, 0.0, 0.0], [0.0, 0.0, 0.003]):
+        words = [robot.step(image, np.array(step)).status for _ in range(5)]
+        assert words[0] != "stale"
+        assert words[-1] == "stale"
+        assert robot.step(photo(TRUTH[1]), nothing).status != "stale"
+        robot.step(image, nothing)
+
+
+def test_a_hanging_camera_never_makes_the_robot_surer_of_where_it_was() -> None:
+    """Twenty times the same picture, while odometry says that the robot drives away."""
+    robot = localizer(informed_settings(start=START, start_position_sigma=0.1))
+    robot.step(photo(TRUTH[0]))
+    robot.step(photo(TRUTH[1]), increments(TRUTH)[1])
+    records = [robot.step(photo(TRUTH[1]), np.array([0.1, 0.0, 0.0])) for _ in range(20)]
+    assert {record.status for record in records} == {"stale"}
+    spreads = [float(np.trace(record.covariance[:2, :2])) for record in records]
+    assert spreads[-1] > spreads[0]
+    assert {record.confidence for record in records} == {0.0}
+
+
 @pytest.mark.parametrize("make", [search_settings, paper_settings])
 def test_a_kidnapped_robot_is_not_followed_silently(make: Any) -> None:
     elsewhere = facing_wall(2.2, 0.9, -0.5)
