@@ -53,7 +53,7 @@ def contrast_by_hand(image: FloatArray, shown: BoolArray) -> FloatArray:
         greys = np.array([grey[place] for place in window])
         spread = np.sqrt(greys.var() + SMALLEST_SPREAD**2)
         result[row, column] += SCALE * (image[row, column] - colours.mean(axis=0)) / spread
-    return np.clip(result, 0.0, 255.0)
+    return np.asarray(np.clip(result, 0.0, 255.0))
 
 
 @pytest.mark.parametrize("hidden", [0.0, 0.3, 0.9])

@@ -137,8 +137,8 @@ def assert_agree(
     views, plane, pose = light_field
     camera = RESOLUTIONS[int(generator.integers(len(RESOLUTIONS)))]
     image, covered = render_reference(views, plane, pose, camera, blending, quality)
-    query = np.clip(image + generator.normal(0.0, 25.0, image.shape), 0.0, 255.0)
-    query = query.astype(np.float32)
+    noisy = np.clip(image + generator.normal(0.0, 25.0, image.shape), 0.0, 255.0)
+    query: Float32Array = noisy.astype(np.float32)
     query[generator.uniform(size=covered.shape) < 0.15] = np.nan
     evidence = random_evidence(generator)
     renderer = Renderer(views, plane, blending, quality, threads=1)

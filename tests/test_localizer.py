@@ -285,9 +285,9 @@ def test_the_same_image_of_a_robot_that_stands_still_is_not_stale(make: Any) -> 
     assert "stale" not in words
     # Steps too small to be seen add up; turning counts as well.
     for step in ([0.004, 0.0, 0.0], [0.0, 0.0, 0.003]):
-        words = [robot.step(image, np.array(step)).status for _ in range(5)]
-        assert words[0] != "stale"
-        assert words[-1] == "stale"
+        found = [robot.step(image, np.array(step)).status for _ in range(5)]
+        assert found[0] != "stale"
+        assert found[-1] == "stale"
         assert robot.step(photo(TRUTH[1]), nothing).status != "stale"
         robot.step(image, nothing)
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.array_types import Float32Array, FloatArray
 from pipelines.geometry.pose import world_from_base_planar
 from pipelines.lightfield.channels import Channels
 from pipelines.lightfield.comparison import Cost
@@ -49,7 +49,7 @@ def observation_at(state: FloatArray, width: int = 24, paint: Paint = painted) -
     return Observer(CAMERA, [width])(photo(state, paint=paint)).by_width[width]
 
 
-def changed(observation: Observation, image: FloatArray) -> Observation:
+def changed(observation: Observation, image: FloatArray | Float32Array) -> Observation:
     return Observation(np.clip(image, 0.0, 255.0).astype(np.float32), observation.intrinsics)
 
 
@@ -102,7 +102,12 @@ def test_opposite_brightness_noise_and_another_picture_speak_against_the_map(
     observation = observation_at(TRUTH)
     generator = np.random.default_rng(0)
     noise = generator.uniform(0.0, 255.0, observation.image.shape)
-    for image in (255.0 - observation.image, noise, observation.image[:, ::-1]):
+    images: tuple[FloatArray | Float32Array, ...] = (
+        255.0 - observation.image,
+        noise,
+        observation.image[:, ::-1],
+    )
+    for image in images:
         assert model.evidence(TRUTH[None], changed(observation, image))[0] < 0.0
     # Nor is a bare wall what the map shows there.
     bare = np.full_like(observation.image, 120.0)

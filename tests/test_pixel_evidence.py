@@ -92,7 +92,8 @@ def histogram_by_hand(views: Views, width: int) -> tuple[FloatArray, FloatArray]
         poses[index, :3, :3] = views.arrays.rays[index] @ camera.matrix()
     poses[:, :3, 3] = views.centres
     images = [views.level(index, 0) for index in range(len(views))]
-    own, other = [], []
+    own: list[FloatArray] = []
+    other: list[FloatArray] = []
     for index in range(len(views)):
         rest = [i for i in range(len(views)) if i != index]
         others = build_views(

@@ -19,7 +19,7 @@ evidences = st.floats(-400.0, 400.0)
 def shares_of(log_weights: FloatArray, labels: IntArray) -> FloatArray:
     """The places' shares of the weight, by label."""
     weights = np.exp(log_weights - log_weights.max())
-    return np.bincount(labels, weights) / weights.sum()
+    return np.asarray(np.bincount(labels, weights) / weights.sum())
 
 
 # --- compression -------------------------------------------------------------------------------

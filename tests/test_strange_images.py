@@ -1,7 +1,6 @@
 """Images that do not show the map, and the map in another light: what a run states about them."""
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,7 +21,7 @@ from tests.drive_samples import (
     localizer,
     position_error,
 )
-from tests.report_samples import CAMERA, photo, smooth
+from tests.report_samples import photo, smooth
 
 Change = Callable[[ImageArray, int], ImageArray]
 
