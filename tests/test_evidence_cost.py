@@ -144,7 +144,7 @@ def assert_agree(
     renderer = Renderer(views, plane, blending, quality, threads=1)
     found = renderer.costs(pose[None], camera, query, Cost.EVIDENCE, False, evidence)[0]
     expected = by_hand(image, covered, query.astype(float), evidence)
-    assert abs(found - expected) <= slack(image, covered, query, evidence)
+    assert abs(found - expected) <= slack(image, covered, query.astype(float), evidence)
     # The same number from what the fast renderer itself shows, to the last bit but rounding.
     own, seen = renderer.render_many(pose[None], camera)
     direct = compared(own[0], seen[0], query, evidence)

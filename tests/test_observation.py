@@ -164,7 +164,7 @@ def test_the_same_image_is_told_from_the_same_scene_and_from_the_next() -> None:
     assert is_same(stamped, image)
     assert is_same(np.clip(image.astype(int) + 1, 0, 255).astype(np.uint8), image)
     assert not is_same(noisy(image, 0), noisy(image, 1))
-    assert not is_same(photo(TRUTH + [0.03, 0.0, 0.0]), image)
+    assert not is_same(photo(TRUTH + np.array([0.03, 0.0, 0.0])), image)
     assert not is_same(image[:-1], image)
 
 

@@ -101,7 +101,7 @@ def test_views_of_nothing_score_nothing(renderer: Renderer, index: RetrievalInde
 def test_uncovered_tiles_add_nothing(renderer: Renderer) -> None:
     states = np.array([facing_wall(x, 1.7, 0.15) for x in (-2.9, -2.5, 2.4, 2.8)])
     found = build_index(renderer, PLANAR, MOUNT, OBSERVATION.intrinsics, states)
-    images, covered = renderer.render_many(PLANAR.poses(states) @ MOUNT, OBSERVATION.intrinsics)
+    _, covered = renderer.render_many(PLANAR.poses(states) @ MOUNT, OBSERVATION.intrinsics)
     assert np.all(covered.mean(axis=(1, 2)) < 1.0)
     scores = found.scores(OBSERVATION)
     # What an image shows where a view is empty does not matter.
