@@ -19,7 +19,7 @@ from tests.drive_samples import (
     localizer,
     position_error,
 )
-from tests.report_samples import facing_wall, photo
+from tests.report_samples import facing_wall, photo, smooth, wall_scene
 
 
 @pytest.fixture(scope="module")
@@ -86,6 +86,16 @@ def test_a_start_pose_that_is_given_is_followed_with_the_fewest_particles(seed: 
     assert max(len(record.particles) for record in records[1:]) <= 2 * 60
     assert len(records[-1].particles) == 60
     assert position_error(records[-1], TRUTH[-1], "refined") < 0.02
+
+
+def test_a_wall_without_edges_is_as_good_as_any_other() -> None:
+    scene = wall_scene(smooth)
+    images = [photo(state, paint=smooth) for state in TRUTH]
+    for seed in range(3):
+        records = drive(localizer(informed_settings(), seed, scene), images=images)
+        for record, truth in zip(records[-3:], TRUTH[-3:], strict=True):
+            assert position_error(record, truth, "mode") < 0.1
+            assert position_error(record, truth, "refined") < 0.05
 
 
 # --- carried away ------------------------------------------------------------------------------
