@@ -12,6 +12,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from benchmarks.processes import process_times
 from benchmarks.scenes import ELEVATORS, with_wall_as_depth
 from benchmarks.timing import medians, timing_table
@@ -39,7 +41,12 @@ def all_kernels(folder: Path) -> None:
     from benchmarks.tracking import SETTINGS, drive
     from pipelines.dataset.dataset import load_dataset
     from pipelines.lightfield.blending import Blending
-    from pipelines.lightfield.comparison import Cost
+    from pipelines.lightfield.comparison import (
+        EVIDENCE_BINS,
+        EVIDENCE_ROWS,
+        Cost,
+        PixelEvidence,
+    )
     from pipelines.lightfield.proxy import Quality
     from pipelines.lightfield.renderer import Renderer
     from pipelines.localize.state_space import PLANAR
@@ -47,12 +54,15 @@ def all_kernels(folder: Path) -> None:
     scene, dataset = load_scene(folder / DEEP), load_dataset(ELEVATORS / "test")
     image = observations()[WIDTHS[0]]
     poses = PLANAR.poses(states_around(2)) @ dataset.body_from_camera
+    edges = np.arange(1, EVIDENCE_ROWS, dtype=np.float32)
+    blank = PixelEvidence(edges, np.zeros((EVIDENCE_ROWS, EVIDENCE_BINS), dtype=np.float32))
     for blending in Blending:
         for quality in (Quality.PLANE, Quality.MEDIUM):
             renderer = Renderer.of_scene(scene, WIDTHS[0], blending, quality, threads=1)
             renderer.render_many(poses, image.intrinsics)
             for cost in Cost:
-                renderer.costs(poses, image.intrinsics, image.image, cost, fit_gain=True)
+                table = blank if cost is Cost.EVIDENCE else None
+                renderer.costs(poses, image.intrinsics, image.image, cost, table is None, table)
     # The second frame has a prior; both are aligned.
     drive(load_scene(folder / PLANE), dataset, SETTINGS["tracking_refined"], seed=0, most=3)
 

@@ -20,7 +20,7 @@ from benchmarks.scenes import (
     with_wall_as_depth,
     workshop_reconstruction,
 )
-from benchmarks.scoring import WIDTHS, comparison_of, observations, states_around
+from benchmarks.scoring import WIDTHS, model_of, observations, states_around
 from benchmarks.timing import markdown_table
 from pipelines.artifacts.progress import no_progress
 from pipelines.lightfield.bundle import load_scene, save_scene
@@ -82,7 +82,7 @@ def _score_many(folder: Path) -> None:
 def _score(folder: Path, count: int) -> None:
     scene = load_scene(folder / LOBBY)
     image = observations()[WIDTHS[0]]
-    comparison_of(scene, WIDTHS[0], threads=None).log_likelihoods(states_around(count), image)
+    model_of(scene, WIDTHS[0], threads=None).log_likelihoods(states_around(count), image)
 
 
 WORK: dict[str, Callable[[Path], None]] = {

@@ -1,9 +1,8 @@
 """What a particle costs: size of the image, surface, threads, number of views and of particles.
 
 Particles stand around the robot's true place in a frame of the lobby's test drive, as they do while
-it is tracked, and are scored as the filter does by default: limited absolute differences with a
-fitted brightness factor, one pixel in five, photos four times as fine as the comparison. Beside
-that stands what all pixels cost.
+it is tracked, and are scored as the filter does by default: evidence of local contrast, one pixel
+in five, photos four times as fine as the comparison. Beside that stands what all pixels cost.
 """
 
 import os
@@ -17,12 +16,13 @@ from benchmarks.scenes import ELEVATORS, repeated, with_wall_as_depth
 from benchmarks.timing import Timing, markdown_table, median_times
 from pipelines.artifacts.array_types import FloatArray
 from pipelines.dataset.dataset import load_dataset
+from pipelines.lightfield.devices import Device
 from pipelines.lightfield.proxy import Quality
-from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.scene import Scene
-from pipelines.localize.likelihood import LIKELIHOODS, ONE_PIXEL_IN, Comparison
-from pipelines.localize.measurement_model import VIEW_RESOLUTION_FACTOR
+from pipelines.localize.likelihood import LIKELIHOODS, ONE_PIXEL_IN
+from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.observation import Observation, Observer
+from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import PLANAR
 
 FRAME = 8
@@ -57,20 +57,28 @@ def observations() -> dict[int, Observation]:
     return dict(Observer(dataset.camera, WIDTHS)(dataset.read_image(FRAME)).by_width)
 
 
-def comparison_of(
+def model_of(
     scene: Scene,
     width: int,
     threads: int | None,
     quality: Quality = Quality.PLANE,
     one_in: int = ONE_PIXEL_IN,
-) -> Comparison:
+) -> MeasurementModel:
     """What the filter scores particles with, for comparisons of some width."""
-    likelihood = replace(LIKELIHOODS["robust"], one_pixel_in=one_in)
-    renderer = Renderer.of_scene(
-        scene, VIEW_RESOLUTION_FACTOR * width, quality=quality, threads=threads
+    settings = LocalizerSettings(
+        likelihood=replace(LIKELIHOODS["evidence"], one_pixel_in=one_in),
+        coarse_width=min(WIDTHS),
+        fine_width=width,
+        refine_width=0,
+        quality=quality.name.lower(),
+        threads=threads,
+        device=Device.CPU,
     )
     mount = load_dataset(ELEVATORS / "test").body_from_camera
-    return Comparison(renderer, PLANAR, mount, likelihood)
+    model = MeasurementModel.of_scene(scene, mount, settings)
+    # What differences say is learnt once, before any particle.
+    model.pixels(width)
+    return model
 
 
 def by_size(scene: Scene) -> dict[str, dict[str, Timing]]:
@@ -87,10 +95,10 @@ def by_size(scene: Scene) -> dict[str, dict[str, Timing]]:
             for geometry, quality in GEOMETRIES.items():
                 for threads in sorted({1, processors}):
                     name = _row(geometry, count, threads)
-                    comparison = comparison_of(scenes[geometry], width, threads, quality)
-                    tasks[name] = partial(comparison.log_likelihoods, states, images[width])
+                    model = model_of(scenes[geometry], width, threads, quality)
+                    tasks[name] = partial(model.log_likelihoods, states, images[width])
                 if count == PARTICLES:
-                    whole = comparison_of(scenes[geometry], width, 1, quality, one_in=1)
+                    whole = model_of(scenes[geometry], width, 1, quality, one_in=1)
                     name = _row(geometry, count, 1, ALL_PIXELS)
                     tasks[name] = partial(whole.log_likelihoods, states, images[width])
             # Few particles have loaded everything before many come.
@@ -107,8 +115,8 @@ def by_views(scene: Scene, one_in: int) -> dict[str, Timing]:
     tasks = {}
     for count in VIEWS:
         many = scene if count == len(scene) else repeated(scene, count)
-        comparison = comparison_of(many, WIDTHS[0], threads=1, one_in=one_in)
-        tasks[str(count)] = partial(comparison.log_likelihoods, states, image)
+        model = model_of(many, WIDTHS[0], threads=1, one_in=one_in)
+        tasks[str(count)] = partial(model.log_likelihoods, states, image)
     return {name: value.of_each(PARTICLES) for name, value in median_times(tasks, TURNS).items()}
 
 
@@ -118,11 +126,11 @@ def by_particles(scene: Scene) -> dict[str, Timing]:
     Few of them are scored again and again, until ``MANY_PARTICLES`` are done: else the first would
     find what the processor has read last pushed out of its caches by the many.
     """
-    image, comparison = observations()[WIDTHS[0]], comparison_of(scene, WIDTHS[0], threads=None)
+    image, model = observations()[WIDTHS[0]], model_of(scene, WIDTHS[0], threads=None)
 
     def score(states: FloatArray, calls: int) -> None:
         for _ in range(calls):
-            comparison.log_likelihoods(states, image)
+            model.log_likelihoods(states, image)
 
     calls = {count: max(1, MANY_PARTICLES // count) for count in GROWTH}
     tasks = {str(count): partial(score, states_around(count), calls[count]) for count in GROWTH}

@@ -101,8 +101,11 @@ def heading_error(record: FrameRecord, truth: FloatArray, estimate: str = "mode"
 
 
 def periodic_scene() -> Scene:
-    """The map now shows two periods of the painting, so that each view is there twice."""
-    states = np.array([facing_wall(x, 2.0) for x in np.arange(-5.0, 8.0, 1.0)])
+    """The map now shows two periods of the painting, so that each view is there twice.
+
+    Photos are taken a sixth of a period apart: what the map knows is there twice as well.
+    """
+    states = np.array([facing_wall(x, 2.0) for x in np.arange(-5.0, 8.0, PERIOD / 6.0)])
     poses = world_from_base_planar(states) @ MOUNT
     images = tuple(encode_png(photo(state)) for state in states)
     index = np.zeros(len(states), dtype=np.int64)

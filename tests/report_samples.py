@@ -1,5 +1,6 @@
 """A painted wall, photos of it, and a run in front of it: small, and true by construction."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -27,12 +28,35 @@ def facing_wall(x: float, distance: float, turn: float = 0.0) -> FloatArray:
     return np.array([x, -distance, np.pi / 2.0 + turn])
 
 
-def photo(state: FloatArray, camera: Intrinsics = CAMERA.intrinsics) -> ImageArray:
+Paint = Callable[[FloatArray, FloatArray], FloatArray]
+
+
+def smooth(x: FloatArray, z: FloatArray) -> FloatArray:
+    """RGB ``(..., 3)`` of a wall without any edge, every 2 pi in x."""
+    return 128.0 + 90.0 * _shades(x, z)
+
+
+def painted(x: FloatArray, z: FloatArray) -> FloatArray:
+    """RGB ``(..., 3)`` of a wall with broad shades under a pattern with edges, every 2 pi in x."""
+    tiles = np.tanh(3.0 * np.sin(5.0 * x + np.sin(z))) * np.tanh(3.0 * np.cos(7.0 * z + np.sin(x)))
+    stripes = np.tanh(3.0 * np.sin(3.0 * x + 4.0 * z))
+    return 128.0 + 60.0 * _shades(x, z) + 40.0 * np.stack([tiles, stripes, -tiles], axis=-1)
+
+
+def _shades(x: FloatArray, z: FloatArray) -> FloatArray:
+    return np.stack([np.sin(2.0 * x), np.cos(x + 2.0 * z), np.sin(3.0 * z)], axis=-1)
+
+
+def photo(
+    state: FloatArray, camera: Intrinsics = CAMERA.intrinsics, paint: Paint = painted
+) -> ImageArray:
     """What the robot's camera at ``state`` sees of the painted wall."""
-    return photo_from(world_from_base_planar(state) @ MOUNT, camera)
+    return photo_from(world_from_base_planar(state) @ MOUNT, camera, paint)
 
 
-def photo_from(pose: FloatArray, camera: Intrinsics = CAMERA.intrinsics) -> ImageArray:
+def photo_from(
+    pose: FloatArray, camera: Intrinsics = CAMERA.intrinsics, paint: Paint = painted
+) -> ImageArray:
     """What a camera at ``world_from_camera`` sees of the painted wall, computed ray by ray."""
     rows, columns = np.mgrid[0 : camera.height, 0 : camera.width]
     rays = np.stack(
@@ -42,14 +66,13 @@ def photo_from(pose: FloatArray, camera: Intrinsics = CAMERA.intrinsics) -> Imag
     rays = rays @ pose[:3, :3].T
     reach = -pose[1, 3] / rays[..., 1]
     x, z = pose[0, 3] + reach * rays[..., 0], pose[2, 3] + reach * rays[..., 2]
-    colours = [128 + 90 * np.sin(2 * x), 128 + 90 * np.cos(x + 2 * z), 128 + 90 * np.sin(3 * z)]
-    return np.stack(colours, axis=-1).astype(np.uint8)
+    return paint(x, z).astype(np.uint8)
 
 
-def wall_scene() -> Scene:
+def wall_scene(paint: Paint = painted) -> Scene:
     """Three views from two metres away: they show the wall from x = -3 to 3."""
     states = [facing_wall(x, 2.0) for x in (-1.0, 0.0, 1.0)]
-    images = tuple(encode_png(photo(state)) for state in states)
+    images = tuple(encode_png(photo(state, paint=paint)) for state in states)
     poses = world_from_base_planar(np.array(states)) @ MOUNT
     index = np.zeros(3, dtype=np.int64)
     surface = PlaneEstimate(WALL, 0.01, 0.002, "given", 1.0)

@@ -1,10 +1,10 @@
-"""What the filter learns: the systematic error of odometry, its noise, whether images still fit."""
+"""What the filter learns: the systematic error of odometry, its noise."""
 
 import numpy as np
 import pytest
 
 from pipelines.artifacts.array_types import FloatArray
-from pipelines.localize.adaptation import ImageFit, OdometryCalibration, uncalibrated
+from pipelines.localize.adaptation import OdometryCalibration, uncalibrated
 from pipelines.localize.state_space import PLANAR
 
 
@@ -109,52 +109,6 @@ def test_learning_changes_nothing_in_place() -> None:
     first.learned(np.ones(3), np.ones(3), 2.0)
     np.testing.assert_array_equal(first.information, 0.0)
     np.testing.assert_array_equal(first.moments, 0.0)
-
-
-# --- whether images still fit ------------------------------------------------------------------
-
-
-def fitted(matches: list[float]) -> ImageFit:
-    fit = ImageFit()
-    for match in matches:
-        fit = fit.with_match(match)
-    return fit
-
-
-def test_steady_matches_reset_nothing() -> None:
-    rng = np.random.default_rng(5)
-    fit = ImageFit()
-    for match in 0.9 + 0.02 * rng.standard_normal(200):
-        assert fit.reset_share(float(match)) == 0.0
-        fit = fit.with_match(float(match))
-
-
-def test_better_matches_reset_nothing() -> None:
-    assert fitted([0.5] * 20).reset_share(0.95) == 0.0
-    assert ImageFit().reset_share(0.1) == 0.0
-
-
-def test_a_drop_spreads_particles_the_more_the_deeper_it_is() -> None:
-    fit = fitted([0.9] * 20)
-    shares = [fit.reset_share(match) for match in (0.85, 0.5, 0.3, 0.0)]
-    assert shares[0] == 0.0
-    assert shares == sorted(shares)
-    assert 0.0 < shares[1] < shares[3] <= 0.5
-
-
-def test_a_drop_that_lasts_becomes_the_usual_after_some_frames() -> None:
-    # The light was switched off, or the robot drives where the map is poor.
-    fit = fitted([0.9] * 20)
-    triggered = []
-    for _ in range(60):
-        triggered.append(fit.reset_share(0.5) > 0.0)
-        fit = fit.with_match(0.5)
-    assert triggered[0]
-    assert not any(triggered[20:])
-
-
-def test_images_without_any_match_do_not_divide_by_zero() -> None:
-    assert fitted([0.0] * 5).reset_share(0.0) == 0.0
 
 
 def test_a_jump_to_another_place_teaches_nothing_about_the_wheels() -> None:

@@ -24,13 +24,15 @@ from pipelines.lightfield.comparison import (
 )
 from pipelines.lightfield.compiled import compiled
 from pipelines.lightfield.proxy import Quality, plane_inverse_depth
-from pipelines.lightfield.renderer import Renderer
+from pipelines.lightfield.renderer import NO_TABLE, Renderer
 from pipelines.lightfield.views import with_depth
 from tests.lightfield_samples import WALL, looking, photo, photographed, pinhole
 
 # They are parts of a kernel; called from here they would not be compiled.
 compiled_compare, compiled_gain = compiled(compare), compiled(fitted_gain)
-every_cost = pytest.mark.parametrize("cost", Cost)
+# Evidence is of another kind: test_evidence_cost.
+COSTS = tuple(cost for cost in Cost if cost is not Cost.EVIDENCE)
+every_cost = pytest.mark.parametrize("cost", COSTS)
 
 
 def packed(image: Float32Array, covered: BoolArray) -> Float32Array:
@@ -41,7 +43,7 @@ def packed(image: Float32Array, covered: BoolArray) -> Float32Array:
 def cost_of(
     cost: Cost, image: Float32Array, covered: BoolArray, query: Float32Array, fit_gain: bool
 ) -> float:
-    return compiled_compare(int(cost), packed(image, covered), prepared(query), fit_gain)
+    return compiled_compare(int(cost), packed(image, covered), prepared(query), fit_gain, NO_TABLE)
 
 
 def gain_of(
@@ -192,7 +194,7 @@ def test_nothing_costs_about_as_much_as_a_wrong_view() -> None:
     query = photo(looking([0.0, -2.5, 1.0], [0.0, 0.0, 1.0]), camera)
     wrong = np.array([looking([x, -2.5, 1.0], [x, 0.0, 1.0]) for x in (-3.5, -1.7, 1.3, 2.1, 3.2)])
     nothing = looking([0.0, 2.0, 1.0], [0.0, 9.0, 1.0])[None]
-    for cost in Cost:
+    for cost in COSTS:
         costs = Renderer(views, WALL, threads=1).costs(
             np.concatenate([wrong, nothing]), camera, query, cost, True
         )
@@ -212,7 +214,7 @@ def test_threads_and_company_do_not_change_a_cost() -> None:
         ]
     )
     alone = Renderer(views, WALL, threads=1)
-    for cost in Cost:
+    for cost in COSTS:
         expected = alone.costs(many, camera, query, cost, True)
         assert len(np.unique(expected)) > 90
         for threads in (2, 5):
@@ -267,7 +269,7 @@ def test_leaving_pixels_out_renders_the_others_as_before(
         query[~is_kept] = np.nan
         renderer.costs(elsewhere[None], camera, query, cost, fit_gain)
         found = renderer.costs(pose[None], camera, query, cost, fit_gain)[0]
-        expected = compiled_compare(int(cost), view.rgba, prepared(query), fit_gain)
+        expected = compiled_compare(int(cost), view.rgba, prepared(query), fit_gain, NO_TABLE)
         assert found == pytest.approx(expected, rel=1e-5)
 
 

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from pipelines.artifacts.errors import InputError, OptionError
 from pipelines.artifacts.toml_file import format_value, read_toml
 from pipelines.lightfield.blending import Blending
+from pipelines.lightfield.channels import Channels
 from pipelines.lightfield.comparison import Cost
 from pipelines.lightfield.devices import Device
 from pipelines.localize.config import effective_settings, settings_of, settings_text
@@ -35,7 +36,8 @@ OTHER: dict[str, tuple[Any, Any]] = {
     "area": ((-1.0, 2.0, 0.5, 3.0), [-1.0, 2.0, 0.5, 3.0]),
     "likelihood.cost": (Cost.ZNCC, "zncc"),
     "likelihood.sharpness": (33.0, 33.0),
-    "likelihood.fit_gain": (False, False),
+    "likelihood.fit_gain": (True, True),
+    "likelihood.channels": (Channels.GRADIENT, "gradient"),
     "likelihood.one_pixel_in": (3, 3),
     "motion.alpha1": (0.5, 0.5),
     "motion.alpha2": (0.6, 0.6),
@@ -64,6 +66,8 @@ OTHER: dict[str, tuple[Any, Any]] = {
     "threads": (3, 3),
     "device": (Device.CPU, "cpu"),
 }
+# Evidence, the default, fits no gain, nor does this cost unless it is told to.
+ALONG = {"likelihood.fit_gain": 'cost = "zncc"\n'}
 
 
 def fields_of_all_settings() -> set[str]:
@@ -100,13 +104,16 @@ def test_names_of_angles_tell_their_unit() -> None:
 def test_a_setting_is_read_from_the_file_and_written_back(tmp_path: Path, field: str) -> None:
     value, in_file = OTHER[field]
     key = next(key for key in KEYS if key.field == field)
-    text = f"[{key.section}]\n{key.name} = {format_value(in_file)}\n"
+    text = f"[{key.section}]\n{key.name} = {format_value(in_file)}\n{ALONG.get(field, '')}"
     settings = effective_settings(written(tmp_path, text), {})
     assert value_of(settings, field) == value
     assert value_of(LocalizerSettings(), field) != value
-    # Nothing else changed; another kind of comparison has another sharpness.
+    # Nothing else changed; another kind of comparison comes with its own sharpness and channels.
     changed = {name for name in OTHER if value_of(settings, name) != value_of(DEFAULT, name)}
-    assert changed - {"likelihood.sharpness", "likelihood.fit_gain"} <= {field}
+    along = {"likelihood.sharpness", "likelihood.fit_gain", "likelihood.channels"}
+    if field in ALONG:
+        along.add("likelihood.cost")
+    assert changed - along <= {field}
     again = effective_settings(written(tmp_path, settings_text(settings)), {})
     assert again == settings
 
@@ -120,16 +127,23 @@ def test_the_printed_defaults_are_the_defaults(tmp_path: Path) -> None:
     assert effective_settings(written(tmp_path, ""), {}) == DEFAULT
 
 
-@given(st.floats(0.0, math.pi), st.floats(0.0, 1e6), st.sampled_from(Cost), st.booleans())
+@given(
+    st.floats(0.0, math.pi),
+    st.floats(0.0, 1e6),
+    st.sampled_from(Cost),
+    st.booleans(),
+    st.sampled_from(Channels),
+)
 def test_any_numbers_are_read_as_they_were_written(
-    angle: float, length: float, cost: Cost, fit_gain: bool
+    angle: float, length: float, cost: Cost, wants_gain: bool, channels: Channels
 ) -> None:
+    fit_gain = wants_gain and cost is not Cost.EVIDENCE
     settings = replace(
         DEFAULT,
         start=(length, -length, -angle),
         start_heading_sigma=angle,
         start_position_sigma=length,
-        likelihood=Likelihood(cost, 1.0 + length, fit_gain),
+        likelihood=Likelihood(cost, 1.0 + length, fit_gain, channels=channels),
     )
     content = tomllib.loads(settings_text(settings))
     chosen = {
@@ -203,6 +217,8 @@ def test_a_width_at_the_command_line_takes_the_others_along(tmp_path: Path) -> N
         ("[motion]\nalpha1 = '0.5'\n", r"\[motion\] alpha1 is '0.5', expected a number"),
         ("[motion]\nalpha1 = 1979-05-27\n", "alpha1 is a date or time, expected a number"),
         ("[likelihood]\ncost = 'l2'\n", "cost is 'l2', expected one of squared, robust, zncc"),
+        ("[likelihood]\nchannels = 'red'\n", "channels is 'red', expected one of colour, contrast"),
+        ("[likelihood]\nfit_gain = true\n", "evidence fits no gain: choose channels"),
         ("[likelihood]\nfit_gain = 1\n", "fit_gain is a whole number, expected true or false"),
         ("[start]\npose = [1.0, 2.0]\n", "pose is a list, expected a list of three or six numb"),
         ("[start]\narea = [1, 2, 'x', 4]\n", r"\[start\] area is a list, expected a list of fo"),

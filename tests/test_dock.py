@@ -135,6 +135,29 @@ def test_a_fault_at_step_4_is_named_and_the_robot_is_stopped(
     assert run.docking.states[-1] == ending.word
 
 
+class Hanging(PaintedRobot):
+    """From the fifth image on its camera gives the same one, while the robot moves."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._images: list[ImageArray] = []
+
+    def take_image(self) -> ImageArray:
+        if len(self._images) < 5:
+            self._images.append(super().take_image())
+        return self._images[-1].copy()
+
+
+def test_a_camera_that_hangs_ends_the_docking_before_the_robot_goes_far() -> None:
+    robot = Hanging()
+    docking, run = docked(robot, near_wall())
+    assert docking.outcome.ending is Ending.BLOCKED
+    assert robot.is_stopped
+    stale = [frame.status == "stale" for frame in run.frames]
+    assert stale[:5] == [False] * 5
+    assert 1 <= sum(stale) <= 6
+
+
 def test_outside_of_the_area() -> None:
     robot = PaintedRobot()
     docking, _ = docked(robot, near_wall(area=(-0.2, 1.0, -2.8, -0.3)))

@@ -1,4 +1,4 @@
-"""Estimates: the circle of the headings, modes, confidence."""
+"""Estimates: the circle of the headings, modes."""
 
 import time
 
@@ -18,7 +18,6 @@ from pipelines.localize.belief import (
     uniform_belief,
 )
 from pipelines.localize.estimate import (
-    confidence,
     find_modes,
     max_weight_state,
     mean_state,
@@ -189,51 +188,6 @@ def test_impossible_bandwidths_are_refused(bandwidth: float) -> None:
 def test_particles_too_far_apart_for_the_bandwidth_are_refused() -> None:
     with pytest.raises(OptionError, match="spread"):
         find_modes(weighted([[0, 0, 0], [1e12, 0, 0]], [1.0, 1.0]))
-
-
-GOOD_COVARIANCE = np.diag([0.03**2, 0.03**2, 0.01**2])
-
-
-@given(
-    st.floats(0.0, 1e5),
-    st.floats(0.0, 10.0),
-    st.floats(0.0, 3.0),
-    st.floats(0.0, 1.0),
-    st.floats(0.0, 1.0),
-)
-def test_confidence_lies_between_zero_and_one(
-    samples: float, position: float, heading: float, share: float, match: float
-) -> None:
-    covariance = np.diag([position**2, position**2, heading**2])
-    assert 0.0 <= confidence(samples, covariance, share, match) <= 1.0
-
-
-def test_confidence_is_high_when_all_is_well_and_any_single_reason_lowers_it() -> None:
-    good = confidence(100.0, GOOD_COVARIANCE, 1.0, 1.0)
-    assert good > 0.9
-    wide = np.diag([0.5**2, 0.5**2, 0.01**2])
-    turned = np.diag([0.03**2, 0.03**2, 0.5**2])
-    for worse in (
-        confidence(1.0, GOOD_COVARIANCE, 1.0, 1.0),
-        confidence(100.0, wide, 1.0, 1.0),
-        confidence(100.0, turned, 1.0, 1.0),
-        confidence(100.0, GOOD_COVARIANCE, 0.5, 1.0),
-        confidence(100.0, GOOD_COVARIANCE, 1.0, 0.3),
-    ):
-        assert worse < 0.55 * good
-    assert confidence(0.0, GOOD_COVARIANCE, 1.0, 1.0) == 0.0
-    assert confidence(100.0, GOOD_COVARIANCE, 1.0, 0.0) == 0.0
-
-
-def test_confidence_refuses_what_is_no_measure() -> None:
-    for arguments in (
-        (np.nan, GOOD_COVARIANCE, 1.0, 1.0),
-        (10.0, GOOD_COVARIANCE * np.nan, 1.0, 1.0),
-        (10.0, GOOD_COVARIANCE, 1.1, 1.0),
-        (10.0, GOOD_COVARIANCE, 1.0, np.nan),
-    ):
-        with pytest.raises(OptionError):
-            confidence(*arguments)
 
 
 # --- six degrees of freedom --------------------------------------------------------------------

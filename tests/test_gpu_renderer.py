@@ -34,6 +34,7 @@ from pipelines.lightfield.reference import render_reference
 from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.views import Views, build_views
 from tests.lightfield_samples import WALL, looking, noise_views, pinhole, tilted_wall
+from tests.test_evidence_cost import random_evidence
 from tests.test_renderers_agree import (
     ARRANGEMENTS,
     RESOLUTIONS,
@@ -49,6 +50,7 @@ from tests.test_renderers_agree import (
 
 ROUNDING, ONE_PIXEL = 1e-6, 2e-4
 CAMERA = pinhole(24, 18, 20.0)
+COSTS = tuple(cost for cost in Cost if cost is not Cost.EVIDENCE)
 
 
 def assert_same_image(
@@ -137,7 +139,7 @@ def assert_same_costs(found: FloatArray, expected: FloatArray) -> None:
 
 
 @pytest.mark.parametrize("fit_gain", [False, True])
-@pytest.mark.parametrize("cost", Cost)
+@pytest.mark.parametrize("cost", COSTS)
 def test_costs_of_a_plane(gpu: Gpu, cost: Cost, fit_gain: bool) -> None:
     for number, arrangement in enumerate((general, grazing, many)):
         generator = np.random.default_rng([5, number])
@@ -171,6 +173,47 @@ def test_costs_of_nets_and_depth_maps(gpu: Gpu, blending: Blending, quality: Qua
     for cost in (Cost.SQUARED, Cost.ROBUST):
         expected = renderer.costs(poses, CAMERA, query, cost, True)
         assert_same_costs(card.costs(poses, CAMERA, query, cost, True), expected)
+
+
+@pytest.mark.parametrize(
+    ("blending", "quality"),
+    [
+        (Blending.UNSTRUCTURED, Quality.PLANE),
+        (Blending.DELAUNAY, Quality.PLANE),
+        (Blending.UNSTRUCTURED, Quality.MEDIUM),
+        (Blending.DELAUNAY, Quality.MEDIUM),
+    ],
+)
+def test_evidence(gpu: Gpu, blending: Blending, quality: Quality) -> None:
+    for number, arrangement in enumerate((general, grazing, many)):
+        generator = np.random.default_rng([31, number])
+        views, plane, pose = arrangement(generator)
+        if quality is not Quality.PLANE:
+            views = with_depth(views, generator, 0.8)
+        camera = RESOLUTIONS[number]
+        renderer = Renderer(views, plane, blending, quality, threads=1)
+        card = GpuRenderer(views, plane, blending, quality, gpu=gpu)
+        poses = np.concatenate([pose[None], poses_around(generator, 30)])
+        query = camera_image(renderer, pose, camera, generator)
+        # More rows and columns than pixels in a group of four, and no entry like another.
+        evidence = random_evidence(generator)
+        expected, found = (
+            each.costs(poses, camera, query, Cost.EVIDENCE, False, evidence)
+            for each in (renderer, card)
+        )
+        # Where a difference lies on the border of two bins, rounding decides; that is rare.
+        largest = np.abs(np.diff(evidence.table, axis=1)).max()
+        difference = np.abs(found - expected)
+        assert np.median(difference) < 1e-3
+        assert difference.max() < 3.0 * largest
+        # What is not covered adds exactly nothing, the table of the last call is not remembered.
+        away = looking([0.2, -2.5, 1.0], [0.1, -9.0, 1.0])[None]
+        assert card.costs(away, camera, query, Cost.EVIDENCE, False, evidence)[0] == 0.0
+        doubled = replace(evidence, table=2.0 * evidence.table)
+        again = card.costs(poses, camera, query, Cost.EVIDENCE, False, doubled)
+        np.testing.assert_allclose(again, 2.0 * found, rtol=1e-5, atol=1e-4)
+        with pytest.raises(OptionError, match="takes a table of evidence"):
+            card.costs(poses, camera, query, Cost.EVIDENCE, False)
 
 
 def some_work(seed: int) -> tuple[Views, Plane, FloatArray, Float32Array]:
@@ -282,7 +325,7 @@ def test_what_sees_nothing_costs_what_nothing_costs(gpu: Gpu, blending: Blending
     query = generator.integers(0, 256, (18, 24, 3)).astype(np.uint8)
     nothing = UNCOVERED_SQUARED, UNCOVERED_ROBUST, UNCOVERED_ZNCC, UNCOVERED_GRADIENT
     renderer = GpuRenderer(views, WALL, blending, gpu=gpu)
-    for cost in Cost:
+    for cost in COSTS:
         found = renderer.costs(blind, CAMERA, query, cost, False)
         np.testing.assert_allclose(found, nothing[cost], rtol=1e-6)
     assert not renderer.render(blind[0], CAMERA).covered.any()
@@ -297,7 +340,7 @@ def test_an_image_of_which_nothing_counts(gpu: Gpu) -> None:
     query[:] = np.nan
     renderer = GpuRenderer(views, plane, gpu=gpu)
     reference = Renderer(views, plane, threads=1)
-    for cost in Cost:
+    for cost in COSTS:
         expected = reference.costs(poses[:4], CAMERA, query, cost, False)
         found = renderer.costs(poses[:4], CAMERA, query, cost, False)
         np.testing.assert_allclose(found, expected, atol=1e-7)

@@ -19,7 +19,7 @@ from tests.drive_samples import (
     localizer,
     position_error,
 )
-from tests.report_samples import facing_wall, photo
+from tests.report_samples import facing_wall, photo, smooth, wall_scene
 
 
 @pytest.fixture(scope="module")
@@ -82,8 +82,20 @@ def test_the_refined_covariance_covers_the_error(drives: list[list[FrameRecord]]
 def test_a_start_pose_that_is_given_is_followed_with_the_fewest_particles(seed: int) -> None:
     records = drive(localizer(informed_settings(start=START, start_position_sigma=0.2), seed))
     assert {record.status for record in records} == {"tracking"}
-    assert len(records[0].particles) == 60
+    # It looks round at first, as far as the start pose is uncertain.
+    assert max(len(record.particles) for record in records[1:]) <= 2 * 60
+    assert len(records[-1].particles) == 60
     assert position_error(records[-1], TRUTH[-1], "refined") < 0.02
+
+
+def test_a_wall_without_edges_is_as_good_as_any_other() -> None:
+    scene = wall_scene(smooth)
+    images = [photo(state, paint=smooth) for state in TRUTH]
+    for seed in range(3):
+        records = drive(localizer(informed_settings(), seed, scene), images=images)
+        for record, truth in zip(records[-3:], TRUTH[-3:], strict=True):
+            assert position_error(record, truth, "mode") < 0.1
+            assert position_error(record, truth, "refined") < 0.05
 
 
 # --- carried away ------------------------------------------------------------------------------
@@ -125,7 +137,7 @@ def test_a_robot_that_is_carried_away_behind_a_covered_lens_is_found_again() -> 
 
 def test_steady_images_do_not_make_it_look_everywhere() -> None:
     records = drive(localizer(informed_settings(start=START), 0))
-    assert max(len(record.particles) for record in records) <= 2 * 60
+    assert max(len(record.particles) for record in records[1:]) <= 2 * 60
 
 
 # --- odometry that errs in the same way all the time -------------------------------------------
@@ -144,19 +156,22 @@ def test_particles_follow_a_robot_whose_wheels_are_worn() -> None:
     truth = np.array([facing_wall(-1.4 + 0.15 * i, 1.6) for i in range(18)])
     motions = [motion * [1.33, 1.33, 1.0] for motion in increments(truth)]
     chosen = informed_settings(start=tuple(map(float, truth[0])), start_position_sigma=0.05)
-    robot = localizer(chosen, 2)
-    records = []
-    for state, motion in zip(truth, motions, strict=True):
-        # A black image every now and then shows where odometry alone would take the robot.
-        records.append(robot.step(photo(state), motion))
-    assert {record.status for record in records} == {"tracking"}
-    blind = robot.step(BLACK, motions[-1])
-    expected = truth[-1] + [0.15, 0.0, 0.0]
-    assert blind.status == "blind"
-    # Odometry alone would be 5 cm too far.
-    assert blind.estimates["mean"][0] - expected[0] < 0.03
-    raw = errors_of_prediction(records[-1], records[-2], motions[-1])
-    assert raw == pytest.approx(0.05, abs=0.01)
+    too_far = []
+    for seed in range(5):
+        robot = localizer(chosen, seed)
+        records = [
+            robot.step(photo(state), motion) for state, motion in zip(truth, motions, strict=True)
+        ]
+        assert {record.status for record in records} == {"tracking"}
+        # A black image shows where odometry alone would take the robot.
+        blind = robot.step(BLACK, motions[-1])
+        assert blind.status == "blind"
+        moved = blind.estimates["mean"] - records[-1].estimates["mean"]
+        too_far.append(float(moved[0]) - 0.15)
+        raw = errors_of_prediction(records[-1], records[-2], motions[-1])
+        assert raw == pytest.approx(0.05, abs=0.01)
+    # By odometry alone it would be 5 cm too far.
+    assert abs(np.median(too_far)) < 0.02
 
 
 # --- repeatable --------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ from pipelines.geometry.camera import Undistorter
 from pipelines.geometry.pose import world_from_base_planar, wrap_angle
 from pipelines.lightfield.renderer import Renderer
 from pipelines.localize.localizer import Localizer
+from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.settings import LocalizerSettings
 from tests.drive_samples import (
     BLACK,
@@ -123,7 +124,9 @@ def test_condensation_does_exactly_the_steps_of_the_paper(seed: int) -> None:
         np.testing.assert_array_equal(record.particles, states)
         np.testing.assert_array_equal(record.log_weights, log_weights)
         heaviest = states[int(np.argmax(log_weights))]
-        np.testing.assert_array_equal(record.estimates["max_weight"], heaviest)
+        # None is given where the image more probably shows something else.
+        if record.status != "lost":
+            np.testing.assert_array_equal(record.estimates["max_weight"], heaviest)
 
 
 def test_condensation_keeps_the_number_of_particles_and_the_width() -> None:
@@ -248,7 +251,7 @@ def test_behind_a_covered_lens_odometry_carries_the_estimates(make: Any) -> None
 @every_strategy
 def test_black_images_from_the_start_never_claim_to_track(make: Any) -> None:
     records = drive(localizer(make()), TRUTH, [BLACK] * len(TRUTH))
-    assert {record.status for record in records} == {"global"}
+    assert {record.status for record in records} == {"blind"}
     assert max(record.confidence for record in records) == 0.0
 
 
@@ -257,6 +260,48 @@ def test_a_known_start_and_black_images_are_blind_and_not_tracked(make: Any) -> 
     record = localizer(make(start=START)).step(BLACK)
     assert record.status == "blind"
     assert record.confidence == 0.0
+
+
+@every_strategy
+def test_a_camera_that_hangs_is_stale_once_odometry_moves(make: Any) -> None:
+    images = [photo(state) for state in TRUTH[:4]] + [photo(TRUTH[3])] * 3 + [photo(TRUTH[7])]
+    records = drive(localizer(make(start=START, start_position_sigma=0.1)), TRUTH, images)
+    assert "stale" not in {record.status for record in records[:4]}
+    for record, truth in zip(records[4:7], TRUTH[4:7], strict=True):
+        assert record.status == "stale"
+        assert record.confidence == 0.0
+        assert record.refined_covariance is None
+        # Odometry carries the estimate, the old image does not hold it back.
+        assert position_error(record, truth, "mean") < 0.2
+    assert records[7].status != "stale"
+    assert position_error(records[7], TRUTH[7]) < 0.3
+
+
+@every_strategy
+def test_the_same_image_of_a_robot_that_stands_still_is_not_stale(make: Any) -> None:
+    robot = localizer(make(start=START, start_position_sigma=0.1))
+    image, nothing = photo(TRUTH[0]), np.zeros(3)
+    words = {robot.step(image, motion).status for motion in (None, nothing, nothing, None, None)}
+    assert "stale" not in words
+    # Steps too small to be seen add up; turning counts as well.
+    for step in ([0.004, 0.0, 0.0], [0.0, 0.0, 0.003]):
+        found = [robot.step(image, np.array(step)).status for _ in range(5)]
+        assert found[0] != "stale"
+        assert found[-1] == "stale"
+        assert robot.step(photo(TRUTH[1]), nothing).status != "stale"
+        robot.step(image, nothing)
+
+
+def test_a_hanging_camera_never_makes_the_robot_surer_of_where_it_was() -> None:
+    """Twenty times the same picture, while odometry says that the robot drives away."""
+    robot = localizer(informed_settings(start=START, start_position_sigma=0.1))
+    robot.step(photo(TRUTH[0]))
+    robot.step(photo(TRUTH[1]), increments(TRUTH)[1])
+    records = [robot.step(photo(TRUTH[1]), np.array([0.1, 0.0, 0.0])) for _ in range(20)]
+    assert {record.status for record in records} == {"stale"}
+    spreads = [float(np.trace(record.covariance[:2, :2])) for record in records]
+    assert spreads[-1] > spreads[0]
+    assert {record.confidence for record in records} == {0.0}
 
 
 @pytest.mark.parametrize("make", [search_settings, paper_settings])
@@ -288,7 +333,8 @@ def test_a_start_pose_is_where_the_particles_are() -> None:
     deviation[:, 2] = wrap_angle(deviation[:, 2])
     assert np.all(np.abs(deviation.mean(axis=0)) < 0.03)
     np.testing.assert_allclose(deviation.std(axis=0), [0.2, 0.2, 0.3], rtol=0.1)
-    assert record.status != "global"
+    # The image was taken somewhere else.
+    assert record.status != "tracking"
 
 
 def test_the_start_is_uniform_over_the_scene_or_over_the_area() -> None:
@@ -379,13 +425,14 @@ def test_the_caller_keeps_its_arrays(make: Any) -> None:
     assert content(first) == before
 
 
-def test_a_renderer_can_be_shared() -> None:
+def test_a_measurement_model_can_be_shared() -> None:
     chosen = informed_settings()
-    renderer = Renderer.of_scene(SCENE, 4 * chosen.fine_width, chosen.blending, threads=1)
-    shared = Localizer(SCENE, CAMERA, MOUNT, chosen, np.random.default_rng(0), renderer)
-    own = localizer(chosen)
-    image = photo(TRUTH[0])
-    assert content(shared.step(image)) == content(own.step(image))
+    model = MeasurementModel.of_scene(SCENE, MOUNT, chosen)
+    expected = [content(record) for record in drive(localizer(chosen), TRUTH[:3])]
+    # What one localizer has learnt in it changes nothing for the next.
+    for _ in range(2):
+        shared = Localizer(SCENE, CAMERA, MOUNT, chosen, np.random.default_rng(0), model)
+        assert [content(record) for record in drive(shared, TRUTH[:3])] == expected
 
 
 def test_a_distorted_camera_is_undistorted_before_it_is_compared() -> None:

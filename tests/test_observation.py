@@ -1,10 +1,20 @@
-"""Camera images as the filter sees them: averaged, blind, without what is fixed to the camera."""
+"""Camera images as the filter sees them: averaged, blind, stale, without what is fixed to it."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from pipelines.artifacts.array_types import BoolArray, ImageArray
-from pipelines.localize.observation import FEWEST_COMPARED, LATTICES, Observation, Observer
+from pipelines.artifacts.errors import OptionError
+from pipelines.lightfield.channels import Channels, channel_image
+from pipelines.localize.observation import (
+    FEWEST_COMPARED,
+    LATTICES,
+    Observation,
+    Observer,
+    is_same,
+)
 from tests.report_samples import CAMERA, facing_wall, photo
 
 TRUTH = facing_wall(-0.4, 1.7, 0.15)
@@ -70,11 +80,16 @@ def test_images_are_counted_and_what_is_fixed_stays_left_out() -> None:
     observer = Observer(CAMERA, [24])
     numbers = [observer(taped(photo(state))).by_width[24].number for state in WAY]
     assert numbers == list(range(len(WAY)))
-    image = np.ones((30, 40, 3), dtype=np.float32)
+    image = np.ones((34, 40, 3), dtype=np.float32)
     image[:4] = np.nan
     remaining = ~np.isnan(Observation(image, CAMERA.intrinsics).thinned(5)[..., 0])
     assert not remaining[:4].any()
-    np.testing.assert_array_equal(remaining[4:], kept(0, 5, 30, 40)[4:])
+    np.testing.assert_array_equal(remaining[4:], kept(0, 5, 34, 40)[4:])
+    # A row less, and a fifth of what is left would be too few.
+    image[4] = np.nan
+    remaining = ~np.isnan(Observation(image, CAMERA.intrinsics).thinned(5)[..., 0])
+    assert remaining.sum() >= FEWEST_COMPARED
+    np.testing.assert_array_equal(remaining[5:], kept(0, 3, 34, 40)[5:])
 
 
 # --- what is fixed to the camera ---------------------------------------------------------------
@@ -129,3 +144,83 @@ def test_black_images_in_between_do_not_count() -> None:
         assert interrupted(black).is_blind
         found = interrupted(taped(photo(state))).by_width[24].image
         np.testing.assert_array_equal(found, expected)
+
+
+# --- the same image again ----------------------------------------------------------------------
+
+
+def noisy(image: ImageArray, seed: int, sigma: float = 1.0) -> ImageArray:
+    """The same scene once more, as a sensor sees it."""
+    noise = sigma * np.random.default_rng(seed).standard_normal(image.shape)
+    return np.clip(np.rint(image + noise), 0.0, 255.0).astype(np.uint8)
+
+
+def test_the_same_image_is_told_from_the_same_scene_and_from_the_next() -> None:
+    image = photo(TRUTH)
+    assert is_same(image, image.copy())
+    # A clock in the corner of the picture, or one bit of a decoder, makes no other image.
+    stamped = image.copy()
+    stamped[0, :2] = 255
+    assert is_same(stamped, image)
+    assert is_same(np.clip(image.astype(int) + 1, 0, 255).astype(np.uint8), image)
+    assert not is_same(noisy(image, 0), noisy(image, 1))
+    assert not is_same(photo(TRUTH + np.array([0.03, 0.0, 0.0])), image)
+    assert not is_same(image[:-1], image)
+
+
+def test_repetition_is_that_of_the_image_before() -> None:
+    observer = Observer(CAMERA, [24])
+    first, second = photo(WAY[0]), photo(WAY[1])
+    images = (first, first, second, first, first, first)
+    found = [observer(image).is_repeated for image in images]
+    assert found == [False, True, False, False, True, True]
+
+
+def test_a_camera_that_fills_one_array_again_and_again_does_not_hang() -> None:
+    observer = Observer(CAMERA, [24])
+    frame = np.empty((CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
+    found = []
+    for state in WAY:
+        frame[:] = photo(state)
+        found.append(observer(frame).is_repeated)
+    assert found == [False] * len(WAY)
+
+
+def test_an_image_that_was_refused_is_not_remembered() -> None:
+    observer = Observer(CAMERA, [24])
+    image = photo(TRUTH)
+    observer(image)
+    with pytest.raises(OptionError):
+        observer(image[:10])
+    assert observer(image).is_repeated
+
+
+def test_only_a_blind_or_a_stale_image_says_nothing() -> None:
+    seen = Observer(CAMERA, [24])(photo(TRUTH))
+    assert seen.is_informative
+    assert replace(seen, is_repeated=True).is_informative
+    assert not replace(seen, is_repeated=True, is_stale=True).is_informative
+    assert not replace(seen, contrast=0.0).is_informative
+
+
+# --- in channels -------------------------------------------------------------------------------
+
+
+def test_channels_leave_out_what_the_image_leaves_out_and_do_not_see_it() -> None:
+    generator = np.random.default_rng(2)
+    image = generator.uniform(0.0, 255.0, (18, 24, 3)).astype(np.float32)
+    hidden = generator.uniform(size=(18, 24)) < 0.2
+    image[hidden] = np.nan
+    observation = Observation(image, CAMERA.intrinsics, 3)
+    assert observation.in_channels(Channels.COLOUR) is observation
+    for channels in (Channels.CONTRAST, Channels.GRADIENT):
+        found = observation.in_channels(channels)
+        np.testing.assert_array_equal(found.used, ~hidden)
+        assert np.isfinite(found.image[~hidden]).all()
+        assert (found.number, found.intrinsics) == (3, CAMERA.intrinsics)
+        other = np.where(hidden[..., None], 0.0, image)
+        expected = channel_image(other.astype(np.float32), channels, ~hidden)
+        np.testing.assert_array_equal(found.image[~hidden], expected[~hidden])
+        # Made once, and the colours stay.
+        assert observation.in_channels(channels) is found
+    np.testing.assert_array_equal(np.isnan(observation.image[..., 0]), hidden)

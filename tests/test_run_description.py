@@ -26,7 +26,7 @@ def test_a_run_is_described_by_its_last_estimate_and_settings(tmp_path: Path) ->
     assert "setting strategy" in table
     assert content["frames"] == 3
     assert content["particles"] == [30, 30, 30]
-    assert content["status"] == {"global": 0, "tracking": 3, "blind": 0, "lost": 0}
+    assert content["status"] == {"global": 0, "tracking": 3, "blind": 0, "stale": 0, "lost": 0}
 
 
 def test_a_run_that_ends_lost_gets_no_last_estimate(tmp_path: Path) -> None:
@@ -49,7 +49,7 @@ def test_a_spatial_run_is_described_with_its_rotation(tmp_path: Path) -> None:
     # The last of the path: (1, -0.5, 1.5) and (0.3 sin 3, 1.7, 1) in degrees.
     expected = "refined: x 1.000 m, y -0.500 m, z 1.500 m, rotation vector 2.4, 97.4, 57.3 deg"
     assert expected in table
-    assert content["status"] == {"global": 0, "tracking": 2, "blind": 0, "lost": 0}
+    assert content["status"] == {"global": 0, "tracking": 2, "blind": 0, "stale": 0, "lost": 0}
 
 
 def test_a_run_that_ends_blind_says_so(tmp_path: Path) -> None:

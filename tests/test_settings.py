@@ -8,6 +8,7 @@ import pytest
 
 from pipelines.artifacts.errors import OptionError
 from pipelines.lightfield.blending import Blending
+from pipelines.lightfield.channels import Channels
 from pipelines.lightfield.comparison import Cost
 from pipelines.localize.likelihood import Likelihood
 from pipelines.localize.motion import MotionModel
@@ -135,7 +136,7 @@ def test_what_the_run_file_keeps_is_plain_json_and_complete() -> None:
     settings = LocalizerSettings(
         start=(1.0, 2.0, 0.5),
         area=(0.0, 1.0, -1.0, 2.0),
-        likelihood=Likelihood(Cost.ZNCC, 50.0, fit_gain=False),
+        likelihood=Likelihood(Cost.ZNCC, 50.0, fit_gain=False, channels=Channels.CONTRAST),
         motion=MotionModel(alpha1=0.5),
         blending=Blending.DELAUNAY,
     )
@@ -145,8 +146,13 @@ def test_what_the_run_file_keeps_is_plain_json_and_complete() -> None:
     assert set(values) == set(LocalizerSettings.__dataclass_fields__) - {"threads"}
     assert values["start"] == [1.0, 2.0, 0.5]
     assert values["area"] == [0.0, 1.0, -1.0, 2.0]
-    comparison = {"cost": "zncc", "sharpness": 50.0, "fit_gain": False, "one_pixel_in": 1}
-    assert values["likelihood"] == comparison
+    assert values["likelihood"] == {
+        "cost": "zncc",
+        "sharpness": 50.0,
+        "fit_gain": False,
+        "one_pixel_in": 1,
+        "channels": "contrast",
+    }
     assert values["motion"]["alpha1"] == 0.5
     assert values["blending"] == "delaunay"
     assert LocalizerSettings().to_dict()["start"] is None

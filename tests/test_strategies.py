@@ -12,12 +12,14 @@ from pipelines.artifacts.array_types import FloatArray
 from pipelines.artifacts.errors import StageError
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.pose import wrap_angle
+from pipelines.lightfield.channels import Channels
 from pipelines.lightfield.comparison import Cost
 from pipelines.lightfield.renderer import Renderer
 from pipelines.localize.belief import Belief, region_of_area
 from pipelines.localize.estimate import mean_state, state_covariance
 from pipelines.localize.informed import Informed
-from pipelines.localize.likelihood import Comparison, Likelihood
+from pipelines.localize.likelihood import Likelihood
+from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.motion import MotionModel
 from pipelines.localize.observation import Observation, Observations
 from pipelines.localize.refinement import Refined
@@ -48,19 +50,23 @@ class Measurement:
         return np.asarray(-0.5 * np.sum((offsets / MEASURED) ** 2, axis=1))
 
 
-class Told(Comparison):
-    """A comparison that is told how likely states are, instead of looking at images."""
+class Told(MeasurementModel):
+    """A model that is told how likely states are, instead of looking at images."""
 
     def __init__(self, renderer: Renderer, peak: FloatArray, rule: LogLikelihood) -> None:
-        super().__init__(renderer, PLANAR, MOUNT, Likelihood(Cost.SQUARED, SHARPNESS))
+        kind = Likelihood(Cost.SQUARED, SHARPNESS)
+        super().__init__(renderer.views, {Channels.CONTRAST: renderer}, PLANAR, MOUNT, kind)
         self.peak = peak
         self.rule = rule
 
     def log_likelihoods(self, states: FloatArray, observation: Observation) -> FloatArray:
         return self.rule(states)
 
-    def match(self, states: FloatArray, observation: Observation) -> float:
-        return 0.9
+    def evidence(
+        self, states: FloatArray, observation: Observation, one_pixel_in: int = 1
+    ) -> FloatArray:
+        # Whatever is seen, it is of the map.
+        return np.full(len(states), 20.0)
 
     def aligned(self, state: FloatArray, observations: Any, widths: Any) -> Refined:
         # Half the second derivative of the cost in squared grey levels, as alignment states it.
@@ -152,7 +158,7 @@ def test_the_filter_agrees_with_the_kalman_filter(make: Any, renderer: Renderer)
         strategy = make(told, seed)
         for number, measurement in enumerate(seen):
             told.peak, told.rule = measurement.state, measurement.log_likelihoods
-            belief = strategy.update(SEEN, INCREMENT if number else None)
+            belief = strategy.update(SEEN, INCREMENT if number else None).belief
             means[seed, number], variances[seed, number] = moments(belief)
     for number, (mean, variance) in enumerate(expected):
         sigma = np.sqrt(variance)
@@ -173,7 +179,7 @@ def test_looking_at_the_image_makes_better_use_of_few_particles(renderer: Render
             strategy = make(told, seed, particles=40, start_particles=40)
             for number, measurement in enumerate(seen):
                 told.peak, told.rule = measurement.state, measurement.log_likelihoods
-                belief = strategy.update(SEEN, INCREMENT if number else None)
+                belief = strategy.update(SEEN, INCREMENT if number else None).belief
                 squares.append((mean_state(belief) - expected[number]) ** 2)
         errors[make] = np.sqrt(np.mean(squares, axis=0))
     assert np.median(errors[informed] / errors[condensation]) < 0.8
@@ -217,7 +223,7 @@ def test_an_image_that_says_nothing_leaves_the_prior(
         told, strategy = first_belief(make, renderer, seed)
         # Proposals elsewhere must not pull the belief there.
         told.rule, told.peak = impossible, told.peak + np.array([0.3, 0.0, 0.0])
-        belief = strategy.update(SEEN if what == "impossible" else UNSEEN, INCREMENT)
+        belief = strategy.update(SEEN if what == "impossible" else UNSEEN, INCREMENT).belief
         mean, variance = moments(belief)
         means.append(mean)
         variances.append(variance)
@@ -243,12 +249,12 @@ def test_one_particle_may_take_all(make: Any, renderer: Renderer) -> None:
         return np.where(states[:, 0] == states[:, 0].max(), 0.0, -np.inf)
 
     told.rule = only_the_foremost
-    belief = strategy.update(SEEN, INCREMENT)
+    belief = strategy.update(SEEN, INCREMENT).belief
     assert belief.weights.max() == 1.0
     chosen = belief.states[int(np.argmax(belief.log_weights))]
     # The next belief grew from it alone.
     told.rule, told.peak = lambda states: np.zeros(len(states)), chosen
-    after = strategy.update(SEEN, INCREMENT)
+    after = strategy.update(SEEN, INCREMENT).belief
     mean, variance = moments(after)
     expected = PLANAR.composed(chosen, INCREMENT)
     np.testing.assert_allclose(mean[:2], expected[:2], atol=0.015)
@@ -261,7 +267,7 @@ def test_the_headings_jump_makes_no_difference(make: Any, renderer: Renderer) ->
     measurement = Measurement(place)
     told = Told(renderer, place, measurement.log_likelihoods)
     strategy = make(told, 3, start=(0.3, -0.2, -np.pi + 0.001), start_heading_sigma=0.02)
-    belief = strategy.update(SEEN, None)
+    belief = strategy.update(SEEN, None).belief
     assert np.all((belief.states[:, 2] > -np.pi) & (belief.states[:, 2] <= np.pi))
     assert abs(float(wrap_angle(mean_state(belief)[2] - place[2]))) < 0.002
 

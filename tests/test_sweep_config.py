@@ -72,7 +72,7 @@ def test_what_is_not_varied_is_the_strategys_default(tmp_path: Path) -> None:
     paper, default = read_sweep_config(written(tmp_path, text)).settings
     every_pixel = replace(LIKELIHOODS["squared"], one_pixel_in=1)
     assert (paper.likelihood, paper.estimate) == (every_pixel, "max_weight")
-    assert (default.likelihood, default.estimate) == (LIKELIHOODS["robust"], "refined")
+    assert (default.likelihood, default.estimate) == (LIKELIHOODS["evidence"], "refined")
     one = read_sweep_config(written(tmp_path, "[sweep]\nseeds = 3\nparticles = 9\n" + DATASET))
     assert (one.seeds, [settings.particles for settings in one.settings]) == ((3,), [9])
 

@@ -52,10 +52,13 @@ def stood_still(commanded: Movement, measured: Movement, before: Moment, after: 
     """Whether odometry and images agree that a movement did not happen.
 
     Also true where the wheels turned and the images say, by what they show and by where they place
-    the robot, that they turned in vain. False where the movement was too small to tell.
+    the robot, that they turned in vain, or where the image is the one before: the wheels slip, or
+    the camera hangs. False where the movement was too small to tell.
     """
     if commanded.distance < LEAST_DISTANCE and abs(commanded.turn) < LEAST_TURN:
         return False
+    if after.fix.is_stale:
+        return True
     odometry_still = _share(measured, commanded) < STILL_SHARE
     if before.fix.is_blind or after.fix.is_blind:
         return odometry_still

@@ -271,7 +271,7 @@ class _Loop:
             image, measured.vector() if number else None, timestamp, f"step {number:04d}"
         )
         self._filter_seconds += time.monotonic() - start
-        if frame.status != "blind":
+        if frame.status not in ("blind", "stale"):
             self._lost_images = self._lost_images + 1 if frame.status == "lost" else 0
         took = self._robot.seconds - spent
         return replace(frame, seconds={**frame.seconds, "robot": took})

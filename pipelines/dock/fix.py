@@ -27,6 +27,7 @@ class Fix:
         is_refined: whether ``state`` was aligned with the image.
         is_sure: whether the belief has one narrow peak that explains the image.
         is_blind: whether the image shows nothing.
+        is_stale: whether it is the image before, although odometry says that the robot moved.
         is_aligned: whether ``state`` was aligned at the highest resolution.
     """
 
@@ -37,6 +38,7 @@ class Fix:
     is_sure: bool
     is_blind: bool
     is_aligned: bool = False
+    is_stale: bool = False
 
 
 def fix_of(record: FrameRecord) -> Fix:
@@ -59,4 +61,5 @@ def fix_of(record: FrameRecord) -> Fix:
         is_refined=refined is not None,
         is_sure=is_sure,
         is_blind=record.status == "blind",
+        is_stale=record.status == "stale",
     )

@@ -46,6 +46,8 @@ FAINT = 30.0
 # one photo alone.
 PRIOR_PIXELS, PRIOR_MEAN = 200.0, 40.0
 PRIOR_EDGES = np.linspace(10.0, 90.0, EVIDENCE_ROWS - 1)
+# Strengths between the rows of pixels that show next to nothing.
+FAINT_EDGES = (10.0, FAINT)
 
 
 @dataclass(frozen=True)
@@ -124,9 +126,7 @@ def _pixel_evidence(left_out: list[_LeftOut], chosen: IntArray, poses: FloatArra
         right.append((strengths[0][covered[0]], differences[0][covered[0]]))
         elsewhere.append((strengths[1:][covered[1:]], differences[1:][covered[1:]]))
     strengths = np.concatenate([each[0] for each in elsewhere] or [np.empty(0, np.float32)])
-    edges = PRIOR_EDGES
-    if len(strengths) >= PRIOR_PIXELS:
-        edges = np.quantile(strengths, np.linspace(0.0, 1.0, EVIDENCE_ROWS + 1)[1:-1])
+    edges = _edges(strengths)
     middles = EVIDENCE_BIN * (np.arange(EVIDENCE_BINS) + 0.5)
     prior = np.exp(-middles / PRIOR_MEAN)
     density = _densities(right, edges, prior)
@@ -140,6 +140,19 @@ def _pixel_evidence(left_out: list[_LeftOut], chosen: IntArray, poses: FloatArra
     return PixelEvidence(
         edges.astype(np.float32), table.astype(np.float32), expected.astype(np.float32)
     )
+
+
+def _edges(strengths: Float32Array) -> FloatArray:
+    """``(EVIDENCE_ROWS - 1,)`` strengths between the rows.
+
+    Pixels that show next to nothing have rows of their own, whether the photos have many of them,
+    few or none: a blank image is compared with a map that is nowhere blank.
+    """
+    strong = strengths[strengths >= FAINT]
+    if len(strong) < PRIOR_PIXELS:
+        return PRIOR_EDGES
+    rows = EVIDENCE_ROWS - len(FAINT_EDGES)
+    return np.append(FAINT_EDGES, np.quantile(strong, np.linspace(0.0, 1.0, rows + 1)[1:-1]))
 
 
 def _densities(

@@ -174,9 +174,11 @@ class Observer:
 
     def __call__(self, image: ImageArray) -> Observations:
         """The sizes of one image ``(height, width, 3)``, RGB as recorded."""
-        is_repeated = self._last is not None and is_same(image, self._last)
-        self._last = image
+        # First, since it refuses what is no image of this camera.
         straight = self._undistorter(image)
+        is_repeated = self._last is not None and is_same(image, self._last)
+        # A copy: a camera may fill one array again and again.
+        self._last = image.copy()
         sizes = {
             width: area_average(straight, pinhole.width, pinhole.height).astype(np.float32)
             for width, pinhole in self._intrinsics.items()

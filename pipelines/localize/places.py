@@ -21,6 +21,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.special import logsumexp
 
 from pipelines.artifacts.array_types import FloatArray, IntArray
+from pipelines.artifacts.errors import StageError
 from pipelines.localize.state_space import StateSpace
 
 # Natural units of evidence beyond which it is compressed.
@@ -97,7 +98,13 @@ def weighed(log_prior: FloatArray, evidence: FloatArray, labels: IntArray) -> We
             over the particles that might have been drawn.
         evidence: ``(M,)`` of the image at the particles.
         labels: ``(M,)`` see ``labelled``.
+
+    Raises:
+        StageError: evidence that is NaN or +inf: the comparison is broken.
     """
+    broken = int(np.count_nonzero(np.isnan(evidence) | np.isposinf(evidence)))
+    if broken:
+        raise StageError(f"{broken} of {len(evidence)} log-likelihoods are NaN or +inf")
     exact = log_prior + evidence
     if not np.any(labels > 0):
         labels = labels + 1
