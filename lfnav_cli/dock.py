@@ -113,6 +113,14 @@ def parse_fault(
 @click.option("--max-steps", type=int, default=120, show_default=True, help="Then it gives up.")
 @click.option("--max-seconds", type=float, default=1800.0, show_default=True, help="Likewise.")
 @click.option(
+    "--patience",
+    type=float,
+    default=10.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="It stands still so long when somebody covers the view.",
+)
+@click.option(
     "--position-tolerance",
     type=float,
     default=0.01,
@@ -200,7 +208,8 @@ def parse_fault(
     "--fault",
     metavar="KIND:STEP",
     callback=parse_fault,
-    help="Simulated robots: blocked, slipping, black or driver from this step on.",
+    help="Simulated robots: blocked, slipping, black, frozen, people, cover or driver from this step "
+    "on.",
 )
 @overwrite_option
 @json_option
@@ -222,6 +231,7 @@ def command(
     staging_distance: float,
     max_steps: int,
     max_seconds: float,
+    patience: float,
     position_tolerance: float,
     heading_tolerance: float,
     mask: Path | None,
@@ -248,8 +258,8 @@ def command(
 
     The robot looks round until it knows where it is, goes to a staging pose behind the goal, and
     approaches in smaller and smaller steps. Exit codes: 0 docked, 10 lost, 11 blocked, 12 out of
-    the allowed area, 13 timed out, 14 robot failed, 130 interrupted; the robot is stopped and the
-    run is saved in every case.
+    the allowed area, 13 timed out, 14 robot failed, 15 view blocked, 130 interrupted; the robot is
+    stopped and the run is saved in every case.
 
     \b
     Example:
@@ -299,6 +309,7 @@ def command(
         staging_distance=staging_distance,
         max_steps=max_steps,
         max_seconds=max_seconds,
+        patience=patience,
         position_tolerance=position_tolerance,
         heading_tolerance=math.radians(heading_tolerance),
     )

@@ -20,6 +20,7 @@ from pipelines.dock.fix import Fix, fix_of
 from pipelines.dock.geometry import distance_between, position_sigma
 from pipelines.dock.logbook import Docking, Entry
 from pipelines.dock.outcomes import Ending, Outcome
+from pipelines.dock.patience import LOOKS
 from pipelines.dock.pilot import Memory, Phase, Pilot
 from pipelines.dock.robot import STANDSTILL, CheckedRobot, Movement, RobotError
 from pipelines.dock.safety import Safety
@@ -217,15 +218,17 @@ class _Loop:
             image = self._robot.take_image()
             true_state = self._robot.true_state()
             frame = self._localized(image, measured, spent)
-            frame, fix = self._fixed(frame, image, measured)
-            now = moment_of(image, fix, self._mask)
+            frame, seen, fix = self._fixed(frame, image, measured)
+            # What is held against odometry must not have been made with it.
+            now = moment_of(image, seen, self._mask)
             still = before is not None and stood_still(command, measured, before, now)
             if before is not None and self._doubt(
-                not still and contradicts(measured, before.fix, fix)
+                not still and contradicts(measured, before.fix, seen)
             ):
                 self._localizer, self._lost_images = self._searching(), 0
+                self._memory = replace(self._memory, anchor=None, wait=None)
                 fix = replace(fix, is_sure=False)
-                now = replace(now, fix=fix)
+                now = replace(now, fix=replace(seen, is_sure=False))
             decision = self._pilot.decide(self._memory, fix, still, measured)
             outcome = decision.outcome or self._exhausted()
             state = Phase.FINISHED if outcome is not None else decision.memory.phase
@@ -237,6 +240,8 @@ class _Loop:
             self._tell(frame, fix, word, command)
             if outcome is not None:
                 return outcome
+            if state is Phase.WAITING and command == STANDSTILL and not self._robot.is_simulated:
+                time.sleep(self._settings.patience / LOOKS)
             measured = self._robot.move(command)
             self._entries[-1] = replace(entry, measured=measured)
             before = now
@@ -265,7 +270,9 @@ class _Loop:
         # A simulated robot has no clock: the same seed gives the same run.
         timestamp = float(number) if self._robot.is_simulated else elapsed
         start = time.monotonic()
-        if self._lost_images > LARGEST_LOST:
+        # While the view is covered the belief is carried on: the robot knows where it is.
+        is_given_up = self._memory.wait is None and not self._memory.is_covered
+        if self._lost_images > LARGEST_LOST and is_given_up:
             self._localizer, self._lost_images = self._searching(), 0
         frame = self._localizer.step(
             image, measured.vector() if number else None, timestamp, f"step {number:04d}"
@@ -278,17 +285,18 @@ class _Loop:
 
     def _fixed(
         self, frame: FrameRecord, image: ImageArray, measured: Movement
-    ) -> tuple[FrameRecord, Fix]:
-        """The frame with the estimate ``docking``, the fix that the pilot acts on."""
+    ) -> tuple[FrameRecord, Fix, Fix]:
+        """The frame with the estimate ``docking``; the image's own fix; the one to act on."""
         start = time.monotonic()
-        fix = self._smoother(self._alignment(fix_of(frame), image), measured)
+        seen = self._alignment(fix_of(frame), image)
+        fix = self._smoother(seen, measured)
         took = time.monotonic() - start
         self._filter_seconds += took
         estimates = dict(frame.estimates)
         if fix.is_sure:
             estimates["docking"] = fix.state
         seconds = {**frame.seconds, "alignment": took}
-        return replace(frame, estimates=estimates, seconds=seconds), fix
+        return replace(frame, estimates=estimates, seconds=seconds), seen, fix
 
     def _exhausted(self) -> Outcome | None:
         settings = self._settings

@@ -28,6 +28,8 @@ class Fix:
         is_sure: whether the belief has one narrow peak that explains the image.
         is_blind: whether the image shows nothing.
         is_aligned: whether ``state`` was aligned at the highest resolution.
+        status: of the filter.
+        confidence: probability that the filter's estimate is right, 0 to 1.
     """
 
     state: FloatArray
@@ -37,6 +39,8 @@ class Fix:
     is_sure: bool
     is_blind: bool
     is_aligned: bool = False
+    status: str = "tracking"
+    confidence: float = 1.0
 
 
 def fix_of(record: FrameRecord) -> Fix:
@@ -59,4 +63,6 @@ def fix_of(record: FrameRecord) -> Fix:
         is_refined=refined is not None,
         is_sure=is_sure,
         is_blind=record.status == "blind",
+        status=record.status,
+        confidence=record.confidence,
     )

@@ -2,7 +2,8 @@
 
     searching --> staging --> approach --> alignment --> docked
         ^            ^____________________________|  (retries)
-        |____ from anywhere, as soon as the belief is no longer narrow
+        |____ from anywhere, as soon as the belief is no longer narrow, after waiting for the view
+              to become clear again where the map shows something there
 
 ``Pilot.decide`` takes what is remembered and what was just seen, and gives back the next movement
 or an outcome, and what to remember; it keeps nothing itself.
@@ -20,7 +21,7 @@ from pipelines.dock.controller import (
     nearing,
     omni_movement,
 )
-from pipelines.dock.exploration import Explorer, Search
+from pipelines.dock.exploration import DIRECTIONS, Explorer, Search
 from pipelines.dock.fix import Fix
 from pipelines.dock.geometry import (
     behind,
@@ -31,6 +32,7 @@ from pipelines.dock.geometry import (
     turn_between,
 )
 from pipelines.dock.outcomes import Ending, Outcome
+from pipelines.dock.patience import LARGEST_STALE, Anchor, Wait, next_look
 from pipelines.dock.robot import STANDSTILL, Movement
 from pipelines.dock.safety import Safety
 from pipelines.dock.settings import DockSettings
@@ -49,6 +51,8 @@ DOCKED_IMAGES, LARGEST_ALIGNMENT = 2, 12
 # Farther from the goal's axis than this while approaching: back to staging, metres.
 LARGEST_OFFSET = 0.25
 SIGMAS = 2.0
+# A view of which the map shows less than this is not waited for.
+LEAST_AWAITED = 0.3
 # A turn that tries out whether a new belief holds, radians.
 SMALLEST_TRIAL, LARGEST_TRIAL = 0.05, 0.15
 
@@ -57,6 +61,7 @@ class Phase(Enum):
     """The named states."""
 
     SEARCHING = "searching"
+    WAITING = "waiting"
     STAGING = "staging"
     APPROACH = "approach"
     ALIGNMENT = "alignment"
@@ -78,6 +83,12 @@ class Memory:
         alignment_steps: since it began to align itself.
         docked_images: images running that show the robot at the goal.
         lost_views: turns on the way to staging after which the belief was no longer narrow.
+        stale_images: images running that are one and the same although the robot has moved.
+        anchor: where it is by its last fix and odometry; None before the first.
+        wait: for the view to become clear again; None where it is clear.
+        resumed: the state to go back to then.
+        is_covered: whether the view was lost from a known place, and no image since then was of a
+            known place.
     """
 
     phase: Phase = Phase.SEARCHING
@@ -90,6 +101,11 @@ class Memory:
     alignment_steps: int = 0
     docked_images: int = 0
     lost_views: int = 0
+    stale_images: int = 0
+    anchor: Anchor | None = None
+    wait: Wait | None = None
+    resumed: Phase = Phase.STAGING
+    is_covered: bool = False
 
 
 @dataclass(frozen=True)
@@ -142,11 +158,18 @@ class Pilot:
             sure_images=memory.sure_images + 1 if fix.is_sure else 0,
             blind_images=memory.blind_images + 1 if fix.is_blind else 0,
             still_movements=memory.still_movements + 1 if still else 0,
+            stale_images=memory.stale_images + 1 if fix.status == "stale" else 0,
             search=memory.search.after(measured),
+            anchor=None if memory.anchor is None else memory.anchor.after(measured),
+            is_covered=memory.is_covered and not fix.is_sure,
         )
         outcome = self._hopeless(seen, fix)
         if outcome is not None:
             return Decision(replace(seen, phase=Phase.FINISHED), outcome=outcome)
+        if memory.wait is not None:
+            return self._waited(seen, fix, measured)
+        if memory.phase is not Phase.SEARCHING and self._is_worth_waiting(seen, fix):
+            return self._waited(replace(seen, wait=Wait(), resumed=memory.phase), fix, measured)
         if not fix.is_sure or (memory.phase is Phase.SEARCHING and seen.sure_images < SURE_IMAGES):
             return self._searching(seen, fix, measured)
         return self._underway(replace(seen, search=Search()), fix)
@@ -162,6 +185,18 @@ class Pilot:
             return Outcome(
                 Ending.LOST, f"the last {memory.blind_images} camera images show nothing"
             )
+        if memory.stale_images >= LARGEST_STALE:
+            return Outcome(
+                Ending.ROBOT_FAILED,
+                f"the last {memory.stale_images} camera images are one and the same, although "
+                "odometry moves: the camera hangs",
+            )
+        if memory.is_covered and memory.search.steps >= DIRECTIONS:
+            return Outcome(
+                Ending.VIEW_BLOCKED,
+                "the view stayed covered: the robot waited, looked past and all round, and no image "
+                "shows where it is",
+            )
         if memory.search.steps >= self.settings.max_search:
             return Outcome(
                 Ending.LOST,
@@ -175,6 +210,28 @@ class Pilot:
                 Ending.OUT_OF_AREA, f"the robot is {outside:.2f} m outside of the allowed area"
             )
         return None
+
+    def _is_worth_waiting(self, memory: Memory, fix: Fix) -> bool:
+        """Whether the view was lost where the map shows enough to look at."""
+        if fix.is_sure or memory.anchor is None:
+            return False
+        return self._explorer.shown_share(memory.anchor.state) >= LEAST_AWAITED
+
+    def _waited(self, memory: Memory, fix: Fix, measured: Movement) -> Decision:
+        """Looks again, until the view is clear or everything was tried."""
+        wait, anchor = memory.wait, memory.anchor
+        if wait is None or anchor is None or (fix.is_sure and not anchor.agrees(fix)):
+            # It was carried elsewhere, or had been there all the time.
+            return self._searching(replace(memory, wait=None, search=Search()), fix, STANDSTILL)
+        if fix.is_sure:
+            clear = replace(memory, phase=memory.resumed, wait=None, search=Search())
+            return self._underway(clear, fix)
+        look = next_look(wait, anchor, self.settings.drive, self._safety)
+        if look is None:
+            search = replace(memory, wait=None, search=Search(), is_covered=True)
+            return self._searching(search, fix, STANDSTILL)
+        movement, then = look
+        return Decision(replace(memory, phase=Phase.WAITING, wait=then, docked_images=0), movement)
 
     def _searching(self, memory: Memory, fix: Fix, measured: Movement) -> Decision:
         """Looks round, but first back to where the view was lost from."""
@@ -199,6 +256,7 @@ class Pilot:
         return Movement(turn=max(-LARGEST_TRIAL, min(LARGEST_TRIAL, turn)))
 
     def _underway(self, memory: Memory, fix: Fix) -> Decision:
+        memory = replace(memory, anchor=Anchor.of(fix), is_covered=False)
         phase = self._phase(memory, fix)
         is_attempt = phase is Phase.APPROACH and memory.phase is not Phase.APPROACH
         memory = replace(memory, phase=phase, attempts=memory.attempts + is_attempt)
