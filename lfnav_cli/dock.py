@@ -208,8 +208,8 @@ def parse_fault(
     "--fault",
     metavar="KIND:STEP",
     callback=parse_fault,
-    help="Simulated robots: blocked, slipping, black, frozen, people, cover or driver from this step "
-    "on.",
+    help="Simulated robots: blocked, slipping, black, frozen, people, cover or driver from this "
+    "step on.",
 )
 @overwrite_option
 @json_option
@@ -358,6 +358,6 @@ def _print_step(report: "Report") -> None:
         x, y, heading = report.estimate
         place = f"x {x:6.2f}  y {y:6.2f}  {math.degrees(heading):6.1f} deg  +-{report.sigma:.2f} m"
     distance = "" if report.distance is None else f"  {report.distance:.2f} m to the goal"
-    click.echo(
-        f"{report.step:4d}  {report.state:9s}  {report.status:8s}  {place}{distance}", err=True
-    )
+    doubt = f", but {report.doubt}" if report.doubt else ""
+    line = f"{report.step:4d}  {report.state:9s}  {report.status:8s}  {place}{distance}{doubt}"
+    click.echo(line, err=True)

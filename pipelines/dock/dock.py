@@ -11,6 +11,7 @@ import numpy as np
 
 from pipelines.artifacts.array_types import BoolArray, FloatArray, ImageArray
 from pipelines.artifacts.errors import LfnavError, OptionError
+from pipelines.dock.agreement import aligned_fix, confirmed, map_covariance
 from pipelines.dock.alignment import FineAlignment
 from pipelines.dock.blockage import Moment, moment_of, stood_still
 from pipelines.dock.clearance import Clearance
@@ -22,6 +23,7 @@ from pipelines.dock.logbook import Docking, Entry
 from pipelines.dock.outcomes import Ending, Outcome
 from pipelines.dock.patience import LOOKS
 from pipelines.dock.pilot import Memory, Phase, Pilot
+from pipelines.dock.rivals import Rivals
 from pipelines.dock.robot import STANDSTILL, CheckedRobot, Movement, RobotError
 from pipelines.dock.safety import Safety
 from pipelines.dock.settings import DockSettings
@@ -48,6 +50,7 @@ class Report:
         sigma: metres, of the estimate.
         distance: metres from the goal; None likewise.
         command: the movement that comes next.
+        doubt: at the goal, what speaks against the estimate; empty where nothing does.
     """
 
     step: int
@@ -57,6 +60,7 @@ class Report:
     sigma: float
     distance: float | None
     command: Movement
+    doubt: str = ""
 
 
 Listener = Callable[[Report], None]
@@ -204,6 +208,8 @@ class _Loop:
         self._listener = listener
         self._entries: list[Entry] = []
         self._memory = Memory()
+        self._rivals = Rivals()
+        self._map_covariance = map_covariance(self._localizer.settings)
         self._smoother = Smoother()
         self._doubt = Doubt()
         self._began = time.monotonic()
@@ -288,8 +294,10 @@ class _Loop:
     ) -> tuple[FrameRecord, Fix, Fix]:
         """The frame with the estimate ``docking``; the image's own fix; the one to act on."""
         start = time.monotonic()
-        seen = self._alignment(fix_of(frame), image)
-        fix = self._smoother(seen, measured)
+        own = fix_of(frame)
+        candidates = self._alignment(own, image, self._rivals.expected(measured))
+        seen = aligned_fix(own, self._rivals(candidates, measured), self._map_covariance)
+        fix = confirmed(seen, self._smoother(seen, measured))
         took = time.monotonic() - start
         self._filter_seconds += took
         estimates = dict(frame.estimates)
@@ -318,5 +326,6 @@ class _Loop:
                 sigma=position_sigma(fix.covariance),
                 distance=None if known is None else distance_between(known, self._pilot.goal),
                 command=command,
+                doubt=fix.doubt if state == Phase.ALIGNMENT.value else "",
             )
         )

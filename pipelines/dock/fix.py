@@ -30,6 +30,7 @@ class Fix:
         is_aligned: whether ``state`` was aligned at the highest resolution.
         status: of the filter.
         confidence: probability that the filter's estimate is right, 0 to 1.
+        doubt: why it may not be docked by; empty where nothing speaks against that.
     """
 
     state: FloatArray
@@ -41,6 +42,7 @@ class Fix:
     is_aligned: bool = False
     status: str = "tracking"
     confidence: float = 1.0
+    doubt: str = ""
 
 
 def fix_of(record: FrameRecord) -> Fix:

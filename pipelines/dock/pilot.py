@@ -46,8 +46,12 @@ LARGEST_BLIND, LARGEST_STILL, LARGEST_REFUSED = 14, 3, 4
 STAGED_POSITION, STAGED_HEADING = 0.1, 0.1
 # From here on the robot aligns itself, metres.
 ALIGNMENT_DISTANCE = 0.12
-# So many images at the goal; so many steps of alignment, then it begins again from staging.
-DOCKED_IMAGES, LARGEST_ALIGNMENT = 2, 12
+# So many images at the goal, and so many running by which nothing speaks against the fix; so many
+# steps of alignment, then it begins again from staging.
+DOCKED_IMAGES, CONFIRMED_IMAGES, LARGEST_ALIGNMENT = 2, 3, 12
+# So many images at the goal that are not confirmed, and it looks from a place beside: metres, and
+# radians for a robot that can only turn.
+UNCONFIRMED_IMAGES, BESIDE, BESIDE_TURN = 2, 0.1, 0.1
 # Farther from the goal's axis than this while approaching: back to staging, metres.
 LARGEST_OFFSET = 0.25
 SIGMAS = 2.0
@@ -82,6 +86,9 @@ class Memory:
         attempts: times that it left the staging pose.
         alignment_steps: since it began to align itself.
         docked_images: images running that show the robot at the goal.
+        confirmed_images: images running by which nothing speaks against the fix.
+        looks_beside: times that it went aside from the goal to look from there.
+        doubt: what spoke against the last fix at the goal.
         lost_views: turns on the way to staging after which the belief was no longer narrow.
         stale_images: images running that are one and the same although the robot has moved.
         anchor: where it is by its last fix and odometry; None before the first.
@@ -100,6 +107,9 @@ class Memory:
     attempts: int = 0
     alignment_steps: int = 0
     docked_images: int = 0
+    confirmed_images: int = 0
+    looks_beside: int = 0
+    doubt: str = ""
     lost_views: int = 0
     stale_images: int = 0
     anchor: Anchor | None = None
@@ -158,6 +168,7 @@ class Pilot:
             sure_images=memory.sure_images + 1 if fix.is_sure else 0,
             blind_images=memory.blind_images + 1 if fix.is_blind else 0,
             still_movements=memory.still_movements + 1 if still else 0,
+            confirmed_images=memory.confirmed_images + 1 if fix.is_sure and not fix.doubt else 0,
             stale_images=memory.stale_images + 1 if fix.status == "stale" else 0,
             search=memory.search.after(measured),
             anchor=None if memory.anchor is None else memory.anchor.after(measured),
@@ -194,8 +205,8 @@ class Pilot:
         if memory.is_covered and memory.search.steps >= DIRECTIONS:
             return Outcome(
                 Ending.VIEW_BLOCKED,
-                "the view stayed covered: the robot waited, looked past and all round, and no image "
-                "shows where it is",
+                "the view stayed covered: the robot waited, looked past and all round, and no "
+                "image shows where it is",
             )
         if memory.search.steps >= self.settings.max_search:
             return Outcome(
@@ -269,7 +280,8 @@ class Pilot:
                     replace(memory, phase=Phase.FINISHED),
                     outcome=Outcome(
                         Ending.TIMED_OUT,
-                        f"{self.settings.max_attempts} attempts from the staging pose failed",
+                        f"{self.settings.max_attempts} attempts from the staging pose failed"
+                        + (f"; at the goal {memory.doubt}" if memory.doubt else ""),
                     ),
                 )
             return self._allowed(memory, fix, self._towards_goal(fix))
@@ -321,12 +333,16 @@ class Pilot:
         settings = self.settings
         memory = replace(memory, alignment_steps=memory.alignment_steps + 1)
         if self._is_docked(fix):
-            memory = replace(memory, docked_images=memory.docked_images + 1)
-            if memory.docked_images >= DOCKED_IMAGES:
+            doubt = fix.doubt or memory.doubt
+            memory = replace(memory, docked_images=memory.docked_images + 1, doubt=doubt)
+            is_confirmed = memory.confirmed_images >= CONFIRMED_IMAGES
+            if memory.docked_images >= DOCKED_IMAGES and is_confirmed:
                 return Decision(
                     replace(memory, phase=Phase.FINISHED),
                     outcome=Outcome(Ending.DOCKED, self._docked_text(fix)),
                 )
+            if memory.docked_images > UNCONFIRMED_IMAGES and not is_confirmed:
+                return self._beside(memory, fix)
             return Decision(memory, STANDSTILL)
         memory = replace(memory, docked_images=0)
         if settings.drive == "omni":
@@ -340,6 +356,16 @@ class Pilot:
                 begin_again = replace(memory, phase=Phase.STAGING, alignment_steps=0)
                 return self._allowed(begin_again, fix, self._towards_staging(fix, memory))
         return self._allowed(memory, fix, movement)
+
+    def _beside(self, memory: Memory, fix: Fix) -> Decision:
+        """Looks from beside the goal, where another pose would not fit as well; then comes back."""
+        side = 1.0 if memory.looks_beside % 2 == 0 else -1.0
+        memory = replace(memory, docked_images=0, looks_beside=memory.looks_beside + 1)
+        step = STANDSTILL
+        if self.settings.drive == "omni":
+            wanted = Movement(left=side * BESIDE)
+            step = self._safety.restricted(fix.state, fix.covariance, wanted)
+        return Decision(memory, step if step.distance > 0.0 else Movement(turn=side * BESIDE_TURN))
 
     def _is_docked(self, fix: Fix) -> bool:
         settings = self.settings
