@@ -18,7 +18,6 @@ from lfnav_cli.common import (
 if TYPE_CHECKING:
     from pipelines.artifacts.progress import Progress
     from pipelines.dock.dock import Report
-    from pipelines.dock.robots.choice import RobotOptions
 
 parse_pose = parse_numbers(3, "X,Y,DEG")
 
@@ -141,7 +140,10 @@ def parse_fault(
 @device_option()
 @click.option("--seed", type=int, default=0, show_default=True, help="Random seed.")
 @click.option(
-    "--dry-run", is_flag=True, help="Only look whether the robot is in order; nothing moves."
+    "--dry-run",
+    "is_dry",
+    is_flag=True,
+    help="Only look whether the robot is in order, and a goal to be seen; nothing moves.",
 )
 @click.option(
     "--true-start",
@@ -238,7 +240,7 @@ def command(
     threads: int | None,
     device: str,
     seed: int,
-    dry_run: bool,
+    is_dry: bool,
     true_start: tuple[float, float, float] | None,
     camera: Path | None,
     camera_width: int,
@@ -288,13 +290,11 @@ def command(
         tracing=PathTracing(samples, variant=variant),
         fault=fault,
     )
-    if dry_run:
-        return _dry_run(scene, robot, options, seed, mask, as_json)
-    if output is None:
+    if output is None and not is_dry:
         raise click.UsageError("give the run file with -o, or --dry-run")
 
     from pipelines.dock.settings import DockSettings
-    from pipelines.dock.stage import Goal, dock_robot
+    from pipelines.dock.stage import Goal, dock_robot, dry_run
     from pipelines.lightfield.devices import Device
     from pipelines.localize.settings import LocalizerSettings
 
@@ -313,13 +313,20 @@ def command(
         position_tolerance=position_tolerance,
         heading_tolerance=math.radians(heading_tolerance),
     )
+    filter_settings = LocalizerSettings(threads=threads, device=Device(device))
+    if output is None or is_dry:
+        named = [goal, goal_view, goal_image].count(None) < 3
+        place = Goal(goal, goal_view, goal_image) if named else None
+        looked = dry_run(scene, robot, place, settings, filter_settings, options, seed, mask)
+        print_summary(looked, as_json)
+        return looked.exit_code
     summary = dock_robot(
         scene,
         robot,
         Goal(goal, goal_view, goal_image),
         output,
         settings,
-        LocalizerSettings(threads=threads, device=Device(device)),
+        filter_settings,
         options,
         seed=seed,
         overwrite=overwrite,
@@ -330,16 +337,6 @@ def command(
     if _is_quiet() and summary.exit_code != 0:
         ending = summary.docking.outcome
         click.echo(f"lfnav: {ending.ending.word}: {ending.reason}", err=True)
-    return summary.exit_code
-
-
-def _dry_run(
-    scene: Path, robot: str, options: "RobotOptions", seed: int, mask: Path | None, as_json: bool
-) -> int:
-    from pipelines.dock.stage import dry_run
-
-    summary = dry_run(scene, robot, options, seed, mask)
-    print_summary(summary, as_json)
     return summary.exit_code
 
 

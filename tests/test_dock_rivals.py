@@ -104,11 +104,25 @@ def test_a_fix_is_confirmed_when_filter_alignment_and_odometry_agree() -> None:
     assert "otherwise than odometry" in doubt([START], step, filters_fix(START))
     astray = there + FAR
     assert "otherwise than odometry" in doubt([START, astray], step, filters_fix(astray))
-    assert "filter disagree" in doubt([START, there], step, filters_fix(there + FAR))
+    assert "filter disagree" in doubt([START, there], step, filters_fix(there + 3.0 * FAR))
     assert "confidence is 0.60" in doubt([START, there], step, filters_fix(there, 0.6))
     assert "confidence" in doubt([START, there], step, filters_fix(there, sure=False))
     assert "another pose nearby" in doubt([START, there], step, filters_fix(there), ASIDE)
     assert "could not be aligned" in aligned_fix(filters_fix(there), None, MAP).doubt
+
+
+def test_the_filter_is_overruled_by_little_and_by_surer_images_only() -> None:
+    step, rivals = Movement(0.1, 0.0, 0.0), Rivals()
+    there = moved(START, step)
+    rivals([candidate(START, 0.03)], STANDSTILL)
+    choice = rivals([candidate(there, 0.03)], step)
+    assert choice is not None
+    seen = aligned_fix(filters_fix(there + FAR), choice, MAP)
+    assert seen.is_disputed
+    assert seen.doubt == ""
+    less_sure = aligned_fix(filters_fix(there + FAR), replace(choice, probability=0.96), MAP)
+    assert "another pose" in less_sure.doubt
+    assert aligned_fix(filters_fix(there), replace(choice, probability=0.96), MAP).doubt == ""
 
 
 def test_a_smoothed_fix_that_left_its_image_is_doubted() -> None:

@@ -5,8 +5,13 @@ the alignment with the photos at full resolution; and odometry, which ties image
 goal the alignment is the finest. It is confirmed when the filter follows one place with enough
 confidence, when the alignment lies within the filter's covariance, when it moved as the wheels did,
 and when no other pose fits nearly as well.
+
+Under light from elsewhere small pictures err along the direction in which a wall hardly changes, by
+a decimetre, while the large ones do not. Then the fix is disputed: it takes surer images, from both
+sides of the goal, to overrule the filter, and never by more than ``FARTHEST``.
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +19,7 @@ import numpy as np
 from pipelines.artifacts.array_types import FloatArray
 from pipelines.dock.alignment import Candidate
 from pipelines.dock.fix import Fix
+from pipelines.dock.geometry import distance_between, turn_between
 from pipelines.dock.rivals import Choice
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import PLANAR
@@ -24,6 +30,9 @@ LARGEST_SURPRISE = 11.3
 # The filter's estimate has to be right, and the pose to be none of its rivals, with at least these
 # probabilities.
 LEAST_CONFIDENCE, LEAST_PROBABILITY = 0.75, 0.95
+# To overrule the filter the rivals have to be ruled out more surely; it is overruled by so many
+# metres and radians at most.
+OVERRULING_PROBABILITY, FARTHEST, WIDEST = 0.97, 0.2, math.radians(6.0)
 
 
 def map_covariance(settings: LocalizerSettings) -> FloatArray:
@@ -43,25 +52,37 @@ def aligned_fix(fix: Fix, choice: Choice | None, map_error: FloatArray) -> Fix:
     if choice is None:
         return replace(fix, doubt="the image could not be aligned")
     candidate = choice.rival.candidate
+    is_disputed = _disagrees(fix, candidate)
     return replace(
         fix,
         state=candidate.state,
         covariance=candidate.covariance + map_error,
         is_refined=True,
         is_aligned=True,
-        doubt=_doubt(fix, candidate, choice),
+        doubt=_doubt(fix, choice, is_disputed),
+        is_disputed=is_disputed,
     )
 
 
-def _doubt(fix: Fix, candidate: Candidate, choice: Choice) -> str:
+def _disagrees(fix: Fix, candidate: Candidate) -> bool:
+    """Whether a pose lies outside of the filter's covariance."""
+    difference = PLANAR.difference(candidate.state, fix.state)
+    total = fix.covariance + candidate.covariance
+    return float(difference @ np.linalg.solve(total, difference)) > LARGEST_SURPRISE
+
+
+def _doubt(fix: Fix, choice: Choice, is_disputed: bool) -> str:
     """Why a pose is not confirmed; empty where it is."""
     if not fix.is_sure or fix.confidence < LEAST_CONFIDENCE:
         return f"the filter's confidence is {fix.confidence:.2f}"
-    difference = PLANAR.difference(candidate.state, fix.state)
-    total = fix.covariance + candidate.covariance
-    if float(difference @ np.linalg.solve(total, difference)) > LARGEST_SURPRISE:
-        return "the finest alignment and the filter disagree"
-    if choice.probability < LEAST_PROBABILITY:
+    least = LEAST_PROBABILITY
+    if is_disputed:
+        state = choice.rival.candidate.state
+        is_far = distance_between(state, fix.state) > FARTHEST
+        if is_far or abs(turn_between(state, fix.state)) > WIDEST:
+            return "the finest alignment and the filter disagree"
+        least = OVERRULING_PROBABILITY
+    if choice.probability < least:
         return "another pose nearby fits the images nearly as well"
     if not choice.rival.surprise <= LARGEST_SURPRISE:
         return "the images moved otherwise than odometry"

@@ -21,6 +21,7 @@ from pipelines.dock.fix import Fix, fix_of
 from pipelines.dock.geometry import distance_between, position_sigma
 from pipelines.dock.logbook import Docking, Entry
 from pipelines.dock.outcomes import Ending, Outcome
+from pipelines.dock.outlook import Lookout
 from pipelines.dock.patience import LOOKS
 from pipelines.dock.pilot import Memory, Phase, Pilot
 from pipelines.dock.rivals import Rivals
@@ -83,6 +84,7 @@ class Equipment:
         pilot: with goal and bounds.
         settings: of the docking.
         mask: ``(height, width)``, True where the robot's images are used; None: everywhere.
+        notes: what a person should know before.
     """
 
     robot: CheckedRobot
@@ -92,6 +94,7 @@ class Equipment:
     pilot: Pilot
     settings: DockSettings
     mask: BoolArray | None = None
+    notes: tuple[str, ...] = ()
 
 
 def equipment_of(
@@ -116,8 +119,8 @@ def equipment_of(
             everywhere.
 
     Raises:
-        OptionError: a goal where no robot can be, an area outside of the scene, a filter with six
-            degrees of freedom.
+        OptionError: a goal where no robot can be or whose view the map does not show, an area
+            outside of the scene, a filter with six degrees of freedom.
     """
     if filter_settings.state_space.angles != 1:
         raise OptionError("docking takes place on a floor: the filter needs 3 degrees of freedom")
@@ -142,6 +145,10 @@ def equipment_of(
         return Localizer(scene, robot.camera, robot.base_from_camera, own, rng, model, mask)
 
     intrinsics = Undistorter(robot.camera).intrinsics
+    mount, width = robot.base_from_camera, chosen.fine_width
+    lookout = Lookout(renderer, model, mount, intrinsics, width, mask)
+    goal_note = lookout.check_goal(goal)
+    settings, staging_note = lookout.staged(goal, settings)
     explorer = Explorer(renderer, robot.base_from_camera, intrinsics, safety)
     reach = settings.staging_distance + ALIGNED_BEYOND_STAGING
     alignment = FineAlignment(
@@ -156,6 +163,7 @@ def equipment_of(
         pilot,
         settings,
         mask,
+        tuple(note for note in (goal_note, staging_note) if note),
     )
 
 
@@ -326,6 +334,6 @@ class _Loop:
                 sigma=position_sigma(fix.covariance),
                 distance=None if known is None else distance_between(known, self._pilot.goal),
                 command=command,
-                doubt=fix.doubt if state == Phase.ALIGNMENT.value else "",
+                doubt=fix.what_speaks_against if state == Phase.ALIGNMENT.value else "",
             )
         )

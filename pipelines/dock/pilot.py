@@ -49,9 +49,10 @@ ALIGNMENT_DISTANCE = 0.12
 # So many images at the goal, and so many running by which nothing speaks against the fix; so many
 # steps of alignment, then it begins again from staging.
 DOCKED_IMAGES, CONFIRMED_IMAGES, LARGEST_ALIGNMENT = 2, 3, 12
-# So many images at the goal that are not confirmed, and it looks from a place beside: metres, and
-# radians for a robot that can only turn.
-UNCONFIRMED_IMAGES, BESIDE, BESIDE_TURN = 2, 0.1, 0.1
+# After so many images at the goal that are not confirmed it looks from a place beside: metres, and
+# radians for a robot that can only turn; first on one side, then on the other, and it is given so
+# many steps more for each.
+UNCONFIRMED_IMAGES, BESIDE, BESIDE_TURN, BOTH_SIDES, BESIDE_STEPS = 2, 0.1, 0.1, 2, 5
 # Farther from the goal's axis than this while approaching: back to staging, metres.
 LARGEST_OFFSET = 0.25
 SIGMAS = 2.0
@@ -272,7 +273,7 @@ class Pilot:
         is_attempt = phase is Phase.APPROACH and memory.phase is not Phase.APPROACH
         memory = replace(memory, phase=phase, attempts=memory.attempts + is_attempt)
         if phase is Phase.STAGING:
-            memory = replace(memory, alignment_steps=0, docked_images=0)
+            memory = replace(memory, alignment_steps=0, docked_images=0, looks_beside=0)
             return self._allowed(memory, fix, self._towards_staging(fix, memory))
         if phase is Phase.APPROACH:
             if memory.attempts > self.settings.max_attempts:
@@ -302,7 +303,8 @@ class Pilot:
         return Phase.STAGING if is_astray else Phase.APPROACH
 
     def _must_retry(self, memory: Memory, fix: Fix) -> bool:
-        too_long = memory.alignment_steps >= LARGEST_ALIGNMENT
+        allowed = LARGEST_ALIGNMENT + BESIDE_STEPS * memory.looks_beside
+        too_long = memory.alignment_steps >= allowed
         return too_long or distance_between(fix.state, self.goal) > 2.0 * ALIGNMENT_DISTANCE
 
     def _towards_staging(self, fix: Fix, memory: Memory) -> Movement:
@@ -333,15 +335,18 @@ class Pilot:
         settings = self.settings
         memory = replace(memory, alignment_steps=memory.alignment_steps + 1)
         if self._is_docked(fix):
-            doubt = fix.doubt or memory.doubt
+            doubt = fix.what_speaks_against or memory.doubt
             memory = replace(memory, docked_images=memory.docked_images + 1, doubt=doubt)
-            is_confirmed = memory.confirmed_images >= CONFIRMED_IMAGES
+            # Against the filter it takes images from both sides.
+            is_settled = not fix.is_disputed or memory.looks_beside >= BOTH_SIDES
+            is_confirmed = memory.confirmed_images >= CONFIRMED_IMAGES and is_settled
             if memory.docked_images >= DOCKED_IMAGES and is_confirmed:
                 return Decision(
                     replace(memory, phase=Phase.FINISHED),
                     outcome=Outcome(Ending.DOCKED, self._docked_text(fix)),
                 )
-            if memory.docked_images > UNCONFIRMED_IMAGES and not is_confirmed:
+            was_patient = memory.docked_images > UNCONFIRMED_IMAGES
+            if was_patient and not is_confirmed and memory.looks_beside < BOTH_SIDES:
                 return self._beside(memory, fix)
             return Decision(memory, STANDSTILL)
         memory = replace(memory, docked_images=0)

@@ -2,9 +2,9 @@
 
 Each pose at which an image fits (``alignment.Candidate``) is a hypothesis. From image to image it
 is carried on by odometry, and what it scores in each adds up: how well the image fits there, and
-how near the best fit lies to where odometry says. The right one fits all images and moves as the wheels
-do; a wrong one fits some (tracking of multiple hypotheses, Reid 1979). Images from one and the same
-place say the same thing, and count once.
+how near the best fit lies to where odometry says. The right one fits all images and moves as the
+wheels do; a wrong one fits some (tracking of multiple hypotheses, Reid 1979). Images from one and
+the same place say the same thing, and count once.
 """
 
 import math
