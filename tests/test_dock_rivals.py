@@ -58,6 +58,7 @@ def test_the_pose_that_moves_as_the_wheels_do_wins_whatever_fits_better() -> Non
         assert choice is not None
         if number < 5:
             state = moved(state, Movement(0.1, 0.05))
+    assert choice is not None
     np.testing.assert_allclose(choice.rival.candidate.state, state)
     assert choice.probability > 0.95
     assert choice.rival.surprise < 1.0
