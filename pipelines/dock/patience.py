@@ -92,10 +92,12 @@ class Wait:
     Attributes:
         looks: images since the robot stands where it stands.
         asides: places beside that were tried.
+        turned: radians of the turn after which the view was lost; 0: it was no turn.
     """
 
     looks: int = 0
     asides: int = 0
+    turned: float = 0.0
 
 
 def next_look(
@@ -113,9 +115,15 @@ def next_look(
         return STANDSTILL, replace(wait, looks=wait.looks + 1)
     if wait.asides == len(SIDES):
         return None
+    then = replace(wait, looks=1, asides=wait.asides + 1)
+    if wait.asides == 0 and wait.turned != 0.0:
+        # Something was to be seen there.
+        return Movement(turn=-wait.turned), then
     side = SIDES[wait.asides]
+    if wait.turned != 0.0:
+        side = math.copysign(1.0, side)
     movement = Movement(turn=side * ASIDE_TURN)
     if drive == "omni":
         step = safety.restricted(anchor.state, anchor.covariance, Movement(left=side * ASIDE))
         movement = step if step.distance > 0.0 else Movement(turn=math.copysign(ASIDE_TURN, side))
-    return movement, Wait(1, wait.asides + 1)
+    return movement, then

@@ -21,7 +21,7 @@ from pipelines.dock.controller import (
     nearing,
     omni_movement,
 )
-from pipelines.dock.exploration import DIRECTIONS, Explorer, Search
+from pipelines.dock.exploration import DIRECTIONS, ENOUGH_COVERED, Explorer, Search
 from pipelines.dock.fix import Fix
 from pipelines.dock.geometry import (
     behind,
@@ -179,9 +179,12 @@ class Pilot:
         if outcome is not None:
             return Decision(replace(seen, phase=Phase.FINISHED), outcome=outcome)
         if memory.wait is not None:
-            return self._waited(seen, fix, measured)
-        if memory.phase is not Phase.SEARCHING and self._is_worth_waiting(seen, fix):
-            return self._waited(replace(seen, wait=Wait(), resumed=memory.phase), fix, measured)
+            return self._waited(seen, fix)
+        turned = measured.turn if abs(measured.turn) > SMALLEST_TRIAL else 0.0
+        is_underway = memory.phase is not Phase.SEARCHING
+        if is_underway and self._is_worth_waiting(seen, fix, turned):
+            waiting = replace(seen, wait=Wait(turned=turned), resumed=memory.phase)
+            return self._waited(waiting, fix)
         if not fix.is_sure or (memory.phase is Phase.SEARCHING and seen.sure_images < SURE_IMAGES):
             return self._searching(seen, fix, measured)
         return self._underway(replace(seen, search=Search()), fix)
@@ -223,13 +226,15 @@ class Pilot:
             )
         return None
 
-    def _is_worth_waiting(self, memory: Memory, fix: Fix) -> bool:
+    def _is_worth_waiting(self, memory: Memory, fix: Fix, turned: float) -> bool:
         """Whether the view was lost where the map shows enough to look at."""
         if fix.is_sure or memory.anchor is None:
             return False
-        return self._explorer.shown_share(memory.anchor.state) >= LEAST_AWAITED
+        # After a turn the reason may be that the map shows too little there.
+        least = ENOUGH_COVERED if turned != 0.0 else LEAST_AWAITED
+        return self._explorer.shown_share(memory.anchor.state) >= least
 
-    def _waited(self, memory: Memory, fix: Fix, measured: Movement) -> Decision:
+    def _waited(self, memory: Memory, fix: Fix) -> Decision:
         """Looks again, until the view is clear or everything was tried."""
         wait, anchor = memory.wait, memory.anchor
         if wait is None or anchor is None or (fix.is_sure and not anchor.agrees(fix)):
