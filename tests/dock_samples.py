@@ -15,6 +15,7 @@ from pipelines.dock.logbook import Docking, Origin, run_of
 from pipelines.dock.robot import CheckedRobot, Movement
 from pipelines.dock.robots.actuation import MotionNoise, SimulatedMotion
 from pipelines.dock.settings import DockSettings
+from pipelines.geometry.camera import Camera
 from pipelines.geometry.pose import world_from_base_planar
 from pipelines.lightfield.bundle import identifier_of, save_scene
 from pipelines.lightfield.scene import Scene
@@ -33,15 +34,15 @@ TILE, TILE_LEVELS = 0.25, 45.0
 TILES = np.random.default_rng(7).uniform(-1.0, 1.0, (64, 64, 3)) * TILE_LEVELS
 
 
-def photo(state: FloatArray) -> ImageArray:
+def photo(state: FloatArray, camera: Camera = CAMERA) -> ImageArray:
     """What the robot's camera at ``state`` sees of a wall with tiles, computed ray by ray.
 
     What robots are docked by has edges, as walls have where they are worth docking at: the filter
     compares local contrast, and there is none in colours that hardly change from pixel to pixel.
     """
     pose, fine = world_from_base_planar(state) @ MOUNT, 3
-    rows, columns = (np.mgrid[0 : fine * CAMERA.height, 0 : fine * CAMERA.width] + 0.5) / fine - 0.5
-    pinhole = CAMERA.intrinsics
+    rows, columns = (np.mgrid[0 : fine * camera.height, 0 : fine * camera.width] + 0.5) / fine - 0.5
+    pinhole = camera.intrinsics
     rays = np.stack(
         [
             (columns - pinhole.cx) / pinhole.fx,
@@ -56,18 +57,18 @@ def photo(state: FloatArray) -> ImageArray:
     smooth = np.stack([np.sin(2 * x), np.cos(x + 2 * z), np.sin(3 * z)], axis=-1)
     row, column = (np.floor(value / TILE).astype(int) % 64 for value in (z, x))
     sharp = 128.0 + 60.0 * smooth + TILES[row, column]
-    shape = (CAMERA.height, fine, CAMERA.width, fine, 3)
+    shape = (camera.height, fine, camera.width, fine, 3)
     averaged = np.clip(sharp, 0.0, 255.0).reshape(shape).mean(axis=(1, 3))
     return np.asarray(np.rint(averaged), dtype=np.uint8)
 
 
-def wall_scene() -> Scene:
+def wall_scene(camera: Camera = CAMERA) -> Scene:
     """Three views of that wall from two metres away: they show it from x = -3 to 3."""
     scene = smooth_wall_scene()
-    images = tuple(encode_png(photo(facing_wall(x, 2.0))) for x in (-1.0, 0.0, 1.0))
+    images = tuple(encode_png(photo(facing_wall(x, 2.0), camera)) for x in (-1.0, 0.0, 1.0))
     poses, index = scene.world_from_camera, scene.camera_index
-    identifier = identifier_of(images, (CAMERA,), index, poses, scene.surface, MOUNT)
-    return replace(scene, encoded_images=images, identifier=identifier)
+    identifier = identifier_of(images, (camera,), index, poses, scene.surface, MOUNT)
+    return replace(scene, encoded_images=images, cameras=(camera,), identifier=identifier)
 
 
 class PaintedRobot:
