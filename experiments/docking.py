@@ -1,19 +1,24 @@
 """Docks a simulated robot from many starts and makes a table of how that went.
 
     python experiments/docking.py SCENE.h5 ROBOT -o FOLDER [--rows omni,diff] [--starts 20]
+        [--workers 2] [--camera-width 240] [--samples 16]
 
 For the lobby, ROBOT is ``sim:sample_data/elevators/scene/scene.xml``, or ``model:WORLD.h5`` with
 another model of it as the robot's world; for the row ``doorway``, SCENE.h5 is a model of the place
-that ``doorway.py`` photographs and ROBOT ``sim:sample_data/doorway/scene/scene.xml``. A path-traced
-docking takes a minute or two. What was interrupted goes on where it was: dockings whose run and
-result are in FOLDER, made with the same settings, are not done again.
+that ``doorway.py`` photographs and ROBOT ``sim:sample_data/doorway/scene/scene.xml``. With
+``sim:FOLDER`` it docks in several scenes of one place, by default the lobby under the lamps of the
+map, under lamps from the side, in the evening and with people (``--scenes``). A path-traced docking
+takes a minute or two. What was interrupted goes on where it was: dockings whose run and result are
+in FOLDER, made with the same settings, are not done again.
 """
 
 import argparse
 import json
 import math
+import multiprocessing
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -35,6 +40,9 @@ HALF_FIELD_OF_VIEW = math.radians(29.0)
 SEED = 123
 RANDOM = MotionNoise()
 SYSTEMATIC = replace(RANDOM, scale=0.15, drift=math.radians(9.0))
+# Scenes of one place; docked farther from the goal than this, metres, is docked falsely.
+SCENES = ("scene", "scene_side", "scene_evening", "scene_people")
+FALSELY_DOCKED = 0.05
 # The true path is looked at in so many places between two images.
 PLACES_ON_PATH = 20
 
@@ -100,6 +108,9 @@ ROWS = {
     "systematic": Row("omni, 15 % and 9° a metre", motion=SYSTEMATIC),
     "diff": Row("differential drive", DockSettings(drive="diff")),
     "blind": Row("starts that see none of the wall", sees_wall=False, starts=10),
+    "people": Row("people walk by from step 8", fault=("people", 8), starts=10),
+    "cover": Row("camera covered from step 8", fault=("cover", 8), starts=1),
+    "frozen": Row("camera hangs from step 8", fault=("frozen", 8), starts=1),
     "blocked": Row("wheels blocked from step 8", fault=("blocked", 8), starts=1),
     "black": Row("camera black from step 8", fault=("black", 8), starts=1),
     "driver": Row("driver raises at step 8", fault=("driver", 8), starts=1),
@@ -138,32 +149,66 @@ def starts(row: Row, count: int) -> list[FloatArray]:
 
 @dataclass(frozen=True)
 class Inputs:
-    """What all dockings of a table have in common."""
+    """What all dockings of a table have in common.
+
+    Attributes:
+        scene: model in which the robot is localized.
+        identifier: of it.
+        folder: to write into.
+        tracing: how ``sim:`` makes images.
+        camera_width: of these, pixels.
+        threads: of the filter; None: all processors.
+    """
 
     scene: Path
-    robot: str
+    identifier: str
     folder: Path
-    samples: int
+    tracing: PathTracing
+    camera_width: int
+    threads: int | None
 
 
-def result_of(inputs: Inputs, identifier: str, name: str, number: int) -> dict[str, Any]:
-    """One docking of a row: done now, or before with the same settings."""
-    row = ROWS[name]
+@dataclass(frozen=True)
+class Task:
+    """One docking.
+
+    Attributes:
+        row: key of ``ROWS``.
+        world: name of the robot's world; empty where there is one alone.
+        robot: see ``robots.choice.robot_named``.
+        number: of the start.
+    """
+
+    row: str
+    world: str
+    robot: str
+    number: int
+
+    @property
+    def key(self) -> str:
+        """Of the table's line."""
+        return f"{self.row} {self.world}".strip()
+
+
+def result_of(inputs: Inputs, task: Task) -> dict[str, Any]:
+    """One docking: done now, or before with the same settings."""
+    row, number = ROWS[task.row], task.number
     x, y, heading = (float(value) for value in starts(row, number + 1)[number])
     options = RobotOptions(
         true_start=(x, y, heading),
+        camera_width=inputs.camera_width,
         motion=row.motion,
-        tracing=PathTracing(inputs.samples),
+        tracing=inputs.tracing,
         fault=row.fault,
     )
     made_with = {
-        "scene": identifier,
-        "robot": inputs.robot,
+        "scene": inputs.identifier,
+        "robot": task.robot,
         "goal": list(row.place.goal),
         "settings": row.settings.to_dict(),
         "options": json.loads(json.dumps(asdict(options), default=str)),
     }
-    path = inputs.folder / name / f"start-{number:02d}.h5"
+    path = inputs.folder / task.world / task.row / f"start-{number:02d}.h5"
     record = path.with_suffix(".json")
     if path.is_file() and record.is_file():
         before: dict[str, Any] = json.loads(record.read_text(encoding="utf-8"))
@@ -171,11 +216,11 @@ def result_of(inputs: Inputs, identifier: str, name: str, number: int) -> dict[s
             return before
     summary = dock_robot(
         inputs.scene,
-        inputs.robot,
+        task.robot,
         Goal(pose=row.place.goal),
         path,
         row.settings,
-        LocalizerSettings(),
+        LocalizerSettings(threads=inputs.threads),
         options,
         seed=number,
         overwrite=True,
@@ -188,6 +233,34 @@ def result_of(inputs: Inputs, identifier: str, name: str, number: int) -> dict[s
     }
     write_text(record, json.dumps(result, indent=2), overwrite=True)
     return result
+
+
+def tasks(names: list[str], robot: str, scenes: list[str], count: int) -> list[Task]:
+    """All dockings: the first start of everything, then the second, and so on."""
+    kind, _, rest = robot.partition(":")
+    worlds = {"": robot}
+    if kind == "sim" and Path(rest).is_dir():
+        worlds = {name: f"sim:{Path(rest) / name}.xml" for name in scenes}
+    return [
+        Task(name, world, worlds[world], number)
+        for number in range(count)
+        for world in worlds
+        for name in names
+        if number < ROWS[name].starts
+    ]
+
+
+def done(inputs: Inputs, chosen: list[Task], workers: int) -> Iterator[tuple[Task, dict[str, Any]]]:
+    """The dockings as they end, by so many processes."""
+    if workers == 1:
+        yield from ((task, result_of(inputs, task)) for task in chosen)
+        return
+    # Neither Mitsuba nor numba's threads survive a fork.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=context) as pool:
+        running = {pool.submit(result_of, inputs, task): task for task in chosen}
+        for ended in as_completed(running):
+            yield running[ended], ended.result()
 
 
 def _silent(report: Report) -> None:
@@ -203,21 +276,26 @@ def nearest(place: Place, summary: DockSummary) -> float:
     return float(place.distance(between.reshape(-1, 2)).min())
 
 
-def table_line(name: str, results: list[dict[str, Any]]) -> str:
+def table_line(key: str, results: list[dict[str, Any]]) -> str:
     """A row of the table, Markdown."""
+    name, _, world = key.partition(" ")
     docked = [r["true_error"] for r in results if r["exit_code"] == 0 and r["true_error"]]
     errors = [(error["position_m"], error["heading_deg"]) for error in docked]
     metres, degrees = np.array(errors or [(math.nan, math.nan)]).T
+    falsely = int(np.sum(metres > FALSELY_DOCKED))
     endings = [r["outcome"] for r in results]
-    counts = ", ".join(f"{endings.count(word)} {word}" for word in dict.fromkeys(endings))
+    others = [word for word in dict.fromkeys(endings) if word != "docked"]
+    counts = ", ".join(f"{endings.count(word)} {word}" for word in others)
     parts = ("total", "robot", "filter")
     seconds = {part: sum(r["seconds"][part] for r in results) for part in parts}
     robot, belief = (seconds[part] / seconds["total"] for part in ("robot", "filter"))
     cells = [
-        ROWS[name].title,
-        f"{counts} of {len(results)}",
-        f"{100 * np.median(metres):.1f} / {100 * metres.max():.1f} cm",
-        f"{np.median(degrees):.2f} / {degrees.max():.2f}°",
+        ROWS[name].title + (f", {world}" if world else ""),
+        f"{endings.count('docked')} of {len(results)}",
+        counts or "–",
+        f"{falsely}",
+        f"{100 * np.median(metres):.1f} / {100 * metres.max():.1f} cm" if errors else "–",
+        f"{np.median(degrees):.2f} / {degrees.max():.2f}°" if errors else "–",
         f"{min(r['nearest_m'] for r in results):.2f} m",
         f"{np.median([r['steps'] for r in results]):.0f}",
         f"{seconds['total'] / len(results):.0f}",
@@ -227,40 +305,51 @@ def table_line(name: str, results: list[dict[str, Any]]) -> str:
 
 
 HEADING = (
-    "| what | outcome | true error, median / worst docked | heading likewise | nearest | steps "
-    "| seconds | time in robot / filter / rest |\n|---|---|---|---|---|---|---|---|"
+    "| what | docked | other outcomes | falsely (> 5 cm) | true error, median / worst docked "
+    "| heading likewise | nearest | steps | seconds | time in robot / filter / rest |\n"
+    "|---|---|---|---|---|---|---|---|---|---|"
 )
 
 
-def main() -> int:
+def main(arguments: Sequence[str]) -> int:
     """Docks, writes ``table.md`` and ``results.json``, prints the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("scene", type=Path)
-    parser.add_argument("robot")
+    parser.add_argument("robot", help="as for lfnav dock; sim:FOLDER: several scenes in FOLDER")
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--rows", default=",".join(LOBBY_ROWS))
+    parser.add_argument("--scenes", default=",".join(SCENES), help="of sim:FOLDER, without .xml")
     parser.add_argument("--starts", type=int, default=20, help="a row at most")
-    parser.add_argument("--samples", type=int, default=PathTracing().samples)
-    options = parser.parse_args()
-    inputs = Inputs(options.scene, options.robot, options.output, options.samples)
-    identifier = load_scene(options.scene).identifier
-    results: dict[str, list[dict[str, Any]]] = {name: [] for name in options.rows.split(",")}
-    # The first start of every row, then the second: a table of what is there says something of all.
-    for number in range(options.starts):
-        for name, found in results.items():
-            if number >= ROWS[name].starts:
-                continue
-            last = result_of(inputs, identifier, name, number)
-            found.append(last)
-            error = last["true_error"] or {"position_m": math.nan, "heading_deg": math.nan}
-            print(
-                f"{name} {number}: {last['outcome']}, {last['steps']} steps, "
-                f"{100 * error['position_m']:.1f} cm, {error['heading_deg']:.2f} deg, "
-                f"nearest {last['nearest_m']:.2f} m",
-                file=sys.stderr,
-                flush=True,
-            )
-        write_table(options.output, results)
+    parser.add_argument("--samples", type=int, default=PathTracing().samples, help="paths a pixel")
+    parser.add_argument("--variant", default=PathTracing().variant, help="of Mitsuba")
+    parser.add_argument("--camera-width", type=int, default=RobotOptions().camera_width)
+    parser.add_argument("--workers", type=int, default=1, help="processes")
+    options = parser.parse_args(arguments)
+    inputs = Inputs(
+        options.scene,
+        load_scene(options.scene).identifier,
+        options.output,
+        PathTracing(options.samples, variant=options.variant),
+        options.camera_width,
+        None if options.workers == 1 else 1,
+    )
+    chosen = tasks(
+        options.rows.split(","), options.robot, options.scenes.split(","), options.starts
+    )
+    # A table of what is there says something of all.
+    results: dict[str, dict[int, dict[str, Any]]] = {task.key: {} for task in chosen}
+    for task, last in done(inputs, chosen, options.workers):
+        results[task.key][task.number] = last
+        error = last["true_error"] or {"position_m": math.nan, "heading_deg": math.nan}
+        print(
+            f"{task.key} {task.number}: {last['outcome']}, {last['steps']} steps, "
+            f"{100 * error['position_m']:.1f} cm, {error['heading_deg']:.2f} deg, "
+            f"nearest {last['nearest_m']:.2f} m, {last['seconds']['total']:.0f} s",
+            file=sys.stderr,
+            flush=True,
+        )
+        found = {key: [each[n] for n in sorted(each)] for key, each in results.items()}
+        write_table(options.output, found)
     print((options.output / "table.md").read_text(encoding="utf-8"), end="")
     return 0
 
@@ -273,4 +362,4 @@ def write_table(folder: Path, results: dict[str, list[dict[str, Any]]]) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))

@@ -18,7 +18,6 @@ from lfnav_cli.common import (
 if TYPE_CHECKING:
     from pipelines.artifacts.progress import Progress
     from pipelines.dock.dock import Report
-    from pipelines.dock.robots.choice import RobotOptions
 
 parse_pose = parse_numbers(3, "X,Y,DEG")
 
@@ -113,6 +112,14 @@ def parse_fault(
 @click.option("--max-steps", type=int, default=120, show_default=True, help="Then it gives up.")
 @click.option("--max-seconds", type=float, default=1800.0, show_default=True, help="Likewise.")
 @click.option(
+    "--patience",
+    type=float,
+    default=10.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="It stands still so long when somebody covers the view.",
+)
+@click.option(
     "--position-tolerance",
     type=float,
     default=0.01,
@@ -133,7 +140,10 @@ def parse_fault(
 @device_option()
 @click.option("--seed", type=int, default=0, show_default=True, help="Random seed.")
 @click.option(
-    "--dry-run", is_flag=True, help="Only look whether the robot is in order; nothing moves."
+    "--dry-run",
+    "is_dry",
+    is_flag=True,
+    help="Only look whether the robot is in order, and a goal to be seen; nothing moves.",
 )
 @click.option(
     "--true-start",
@@ -200,7 +210,8 @@ def parse_fault(
     "--fault",
     metavar="KIND:STEP",
     callback=parse_fault,
-    help="Simulated robots: blocked, slipping, black or driver from this step on.",
+    help="Simulated robots: blocked, slipping, black, frozen, people, cover or driver from this "
+    "step on.",
 )
 @overwrite_option
 @json_option
@@ -222,13 +233,14 @@ def command(
     staging_distance: float,
     max_steps: int,
     max_seconds: float,
+    patience: float,
     position_tolerance: float,
     heading_tolerance: float,
     mask: Path | None,
     threads: int | None,
     device: str,
     seed: int,
-    dry_run: bool,
+    is_dry: bool,
     true_start: tuple[float, float, float] | None,
     camera: Path | None,
     camera_width: int,
@@ -248,8 +260,8 @@ def command(
 
     The robot looks round until it knows where it is, goes to a staging pose behind the goal, and
     approaches in smaller and smaller steps. Exit codes: 0 docked, 10 lost, 11 blocked, 12 out of
-    the allowed area, 13 timed out, 14 robot failed, 130 interrupted; the robot is stopped and the
-    run is saved in every case.
+    the allowed area, 13 timed out, 14 robot failed, 15 view blocked, 130 interrupted; the robot is
+    stopped and the run is saved in every case.
 
     \b
     Example:
@@ -278,13 +290,11 @@ def command(
         tracing=PathTracing(samples, variant=variant),
         fault=fault,
     )
-    if dry_run:
-        return _dry_run(scene, robot, options, seed, mask, as_json)
-    if output is None:
+    if output is None and not is_dry:
         raise click.UsageError("give the run file with -o, or --dry-run")
 
     from pipelines.dock.settings import DockSettings
-    from pipelines.dock.stage import Goal, dock_robot
+    from pipelines.dock.stage import Goal, dock_robot, dry_run
     from pipelines.lightfield.devices import Device
     from pipelines.localize.settings import LocalizerSettings
 
@@ -299,16 +309,24 @@ def command(
         staging_distance=staging_distance,
         max_steps=max_steps,
         max_seconds=max_seconds,
+        patience=patience,
         position_tolerance=position_tolerance,
         heading_tolerance=math.radians(heading_tolerance),
     )
+    filter_settings = LocalizerSettings(threads=threads, device=Device(device))
+    if output is None or is_dry:
+        named = [goal, goal_view, goal_image].count(None) < 3
+        place = Goal(goal, goal_view, goal_image) if named else None
+        looked = dry_run(scene, robot, place, settings, filter_settings, options, seed, mask)
+        print_summary(looked, as_json)
+        return looked.exit_code
     summary = dock_robot(
         scene,
         robot,
         Goal(goal, goal_view, goal_image),
         output,
         settings,
-        LocalizerSettings(threads=threads, device=Device(device)),
+        filter_settings,
         options,
         seed=seed,
         overwrite=overwrite,
@@ -319,16 +337,6 @@ def command(
     if _is_quiet() and summary.exit_code != 0:
         ending = summary.docking.outcome
         click.echo(f"lfnav: {ending.ending.word}: {ending.reason}", err=True)
-    return summary.exit_code
-
-
-def _dry_run(
-    scene: Path, robot: str, options: "RobotOptions", seed: int, mask: Path | None, as_json: bool
-) -> int:
-    from pipelines.dock.stage import dry_run
-
-    summary = dry_run(scene, robot, options, seed, mask)
-    print_summary(summary, as_json)
     return summary.exit_code
 
 
@@ -347,6 +355,6 @@ def _print_step(report: "Report") -> None:
         x, y, heading = report.estimate
         place = f"x {x:6.2f}  y {y:6.2f}  {math.degrees(heading):6.1f} deg  +-{report.sigma:.2f} m"
     distance = "" if report.distance is None else f"  {report.distance:.2f} m to the goal"
-    click.echo(
-        f"{report.step:4d}  {report.state:9s}  {report.status:8s}  {place}{distance}", err=True
-    )
+    doubt = f", but {report.doubt}" if report.doubt else ""
+    line = f"{report.step:4d}  {report.state:9s}  {report.status:8s}  {place}{distance}{doubt}"
+    click.echo(line, err=True)

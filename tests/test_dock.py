@@ -109,6 +109,45 @@ def test_the_same_seeds_give_the_same_run() -> None:
     assert commands[0] == commands[1]
 
 
+# --- a view that is covered ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("drive", ["omni", "diff"])
+@pytest.mark.parametrize("step", [4, 7, 9])
+def test_it_waits_until_people_have_walked_on(drive: str, step: int) -> None:
+    start = START if drive == "omni" else facing_wall(0.3, 2.0, 0.2)
+    inner = PaintedRobot(start)
+    robot = FaultyRobot(inner, "people", step)
+    docking, _ = docked(robot, near_wall(drive=drive, start=tuple(start)))
+    assert docking.outcome.ending is Ending.DOCKED
+    check_docked(inner)
+    states = [entry.state for entry in docking.entries]
+    assert states.count("waiting") >= 3
+    # It went on where it was, and neither moved meanwhile nor began a new search.
+    first = states.index("waiting")
+    assert "searching" not in states[first:]
+    still = [entry.command for entry in docking.entries if entry.state == "waiting"]
+    assert all(command == Movement() for command in still[:4])
+
+
+@pytest.mark.parametrize("drive", ["omni", "diff"])
+@pytest.mark.parametrize("kind", ["cover", "frozen", "black"])
+@pytest.mark.parametrize("step", [4, 8, 10])
+def test_a_view_that_stays_covered_never_ends_as_docked(drive: str, kind: str, step: int) -> None:
+    inner = PaintedRobot(START)
+    docking, _ = docked(FaultyRobot(inner, kind, step), near_wall(drive=drive))
+    ending = docking.outcome.ending
+    if ending is Ending.DOCKED:
+        # It was there before.
+        check_docked(inner)
+        assert len(docking.entries) <= step + 3
+        return
+    assert ending in {Ending.VIEW_BLOCKED, Ending.LOST, Ending.ROBOT_FAILED}
+    covered = docking.entries[step:]
+    # After the step on which it happened it drives half a metre at most.
+    assert sum(entry.command.distance for entry in covered[1:]) < 0.5
+
+
 # --- every other ending -------------------------------------------------------------------------
 
 
@@ -118,6 +157,8 @@ def test_the_same_seeds_give_the_same_run() -> None:
         ("blocked", Ending.BLOCKED, "did not happen"),
         ("slipping", Ending.BLOCKED, "did not happen"),
         ("black", Ending.LOST, "show nothing"),
+        ("frozen", Ending.ROBOT_FAILED, "one and the same, although odometry moves"),
+        ("cover", Ending.VIEW_BLOCKED, "the view stayed covered"),
         ("driver", Ending.ROBOT_FAILED, "ConnectionError: no answer from the motor controller"),
     ],
 )

@@ -26,8 +26,8 @@ from pipelines.dock.robots.simulator import (
 )
 from pipelines.geometry.camera import Camera
 from pipelines.localize.run import load_run
-from tests.dock_samples import EXACT, GOAL, START, written_scene
-from tests.report_samples import MOUNT, photo
+from tests.dock_samples import EXACT, GOAL, START, photo, written_scene
+from tests.report_samples import MOUNT
 
 SAMPLE = Path(__file__).resolve().parents[1] / "sample_data" / "elevators"
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from pipelines.artifacts.array_types import BoolArray, FloatArray, ImageArray
 from pipelines.artifacts.errors import LfnavError, OptionError
+from pipelines.dock.agreement import aligned_fix, confirmed, map_covariance
 from pipelines.dock.alignment import FineAlignment
 from pipelines.dock.blockage import Moment, moment_of, stood_still
 from pipelines.dock.clearance import Clearance
@@ -20,7 +21,10 @@ from pipelines.dock.fix import Fix, fix_of
 from pipelines.dock.geometry import distance_between, position_sigma
 from pipelines.dock.logbook import Docking, Entry
 from pipelines.dock.outcomes import Ending, Outcome
+from pipelines.dock.outlook import Lookout
+from pipelines.dock.patience import LOOKS
 from pipelines.dock.pilot import Memory, Phase, Pilot
+from pipelines.dock.rivals import Rivals
 from pipelines.dock.robot import STANDSTILL, CheckedRobot, Movement, RobotError
 from pipelines.dock.safety import Safety
 from pipelines.dock.settings import DockSettings
@@ -47,6 +51,7 @@ class Report:
         sigma: metres, of the estimate.
         distance: metres from the goal; None likewise.
         command: the movement that comes next.
+        doubt: at the goal, what speaks against the estimate; empty where nothing does.
     """
 
     step: int
@@ -56,6 +61,7 @@ class Report:
     sigma: float
     distance: float | None
     command: Movement
+    doubt: str = ""
 
 
 Listener = Callable[[Report], None]
@@ -78,6 +84,7 @@ class Equipment:
         pilot: with goal and bounds.
         settings: of the docking.
         mask: ``(height, width)``, True where the robot's images are used; None: everywhere.
+        notes: what a person should know before.
     """
 
     robot: CheckedRobot
@@ -87,6 +94,7 @@ class Equipment:
     pilot: Pilot
     settings: DockSettings
     mask: BoolArray | None = None
+    notes: tuple[str, ...] = ()
 
 
 def equipment_of(
@@ -111,8 +119,8 @@ def equipment_of(
             everywhere.
 
     Raises:
-        OptionError: a goal where no robot can be, an area outside of the scene, a filter with six
-            degrees of freedom.
+        OptionError: a goal where no robot can be or whose view the map does not show, an area
+            outside of the scene, a filter with six degrees of freedom.
     """
     if filter_settings.state_space.angles != 1:
         raise OptionError("docking takes place on a floor: the filter needs 3 degrees of freedom")
@@ -137,6 +145,10 @@ def equipment_of(
         return Localizer(scene, robot.camera, robot.base_from_camera, own, rng, model, mask)
 
     intrinsics = Undistorter(robot.camera).intrinsics
+    mount, width = robot.base_from_camera, chosen.fine_width
+    lookout = Lookout(renderer, model, mount, intrinsics, width, mask)
+    goal_note = lookout.check_goal(goal)
+    settings, staging_note = lookout.staged(goal, settings)
     explorer = Explorer(renderer, robot.base_from_camera, intrinsics, safety)
     reach = settings.staging_distance + ALIGNED_BEYOND_STAGING
     alignment = FineAlignment(
@@ -151,6 +163,7 @@ def equipment_of(
         pilot,
         settings,
         mask,
+        tuple(note for note in (goal_note, staging_note) if note),
     )
 
 
@@ -203,6 +216,8 @@ class _Loop:
         self._listener = listener
         self._entries: list[Entry] = []
         self._memory = Memory()
+        self._rivals = Rivals()
+        self._map_covariance = map_covariance(self._localizer.settings)
         self._smoother = Smoother()
         self._doubt = Doubt()
         self._began = time.monotonic()
@@ -217,15 +232,17 @@ class _Loop:
             image = self._robot.take_image()
             true_state = self._robot.true_state()
             frame = self._localized(image, measured, spent)
-            frame, fix = self._fixed(frame, image, measured)
-            now = moment_of(image, fix, self._mask)
+            frame, seen, fix = self._fixed(frame, image, measured)
+            # What is held against odometry must not have been made with it.
+            now = moment_of(image, seen, self._mask)
             still = before is not None and stood_still(command, measured, before, now)
             if before is not None and self._doubt(
-                not still and contradicts(measured, before.fix, fix)
+                not still and contradicts(measured, before.fix, seen)
             ):
                 self._localizer, self._lost_images = self._searching(), 0
+                self._memory = replace(self._memory, anchor=None, wait=None)
                 fix = replace(fix, is_sure=False)
-                now = replace(now, fix=fix)
+                now = replace(now, fix=replace(seen, is_sure=False))
             decision = self._pilot.decide(self._memory, fix, still, measured)
             outcome = decision.outcome or self._exhausted()
             state = Phase.FINISHED if outcome is not None else decision.memory.phase
@@ -237,6 +254,8 @@ class _Loop:
             self._tell(frame, fix, word, command)
             if outcome is not None:
                 return outcome
+            if state is Phase.WAITING and command == STANDSTILL and not self._robot.is_simulated:
+                time.sleep(self._settings.patience / LOOKS)
             measured = self._robot.move(command)
             self._entries[-1] = replace(entry, measured=measured)
             before = now
@@ -265,7 +284,9 @@ class _Loop:
         # A simulated robot has no clock: the same seed gives the same run.
         timestamp = float(number) if self._robot.is_simulated else elapsed
         start = time.monotonic()
-        if self._lost_images > LARGEST_LOST:
+        # While the view is covered the belief is carried on: the robot knows where it is.
+        is_given_up = self._memory.wait is None and not self._memory.is_covered
+        if self._lost_images > LARGEST_LOST and is_given_up:
             self._localizer, self._lost_images = self._searching(), 0
         frame = self._localizer.step(
             image, measured.vector() if number else None, timestamp, f"step {number:04d}"
@@ -278,17 +299,20 @@ class _Loop:
 
     def _fixed(
         self, frame: FrameRecord, image: ImageArray, measured: Movement
-    ) -> tuple[FrameRecord, Fix]:
-        """The frame with the estimate ``docking``, the fix that the pilot acts on."""
+    ) -> tuple[FrameRecord, Fix, Fix]:
+        """The frame with the estimate ``docking``; the image's own fix; the one to act on."""
         start = time.monotonic()
-        fix = self._smoother(self._alignment(fix_of(frame), image), measured)
+        own = fix_of(frame)
+        candidates = self._alignment(own, image, self._rivals.expected(measured))
+        seen = aligned_fix(own, self._rivals(candidates, measured), self._map_covariance)
+        fix = confirmed(seen, self._smoother(seen, measured))
         took = time.monotonic() - start
         self._filter_seconds += took
         estimates = dict(frame.estimates)
         if fix.is_sure:
             estimates["docking"] = fix.state
         seconds = {**frame.seconds, "alignment": took}
-        return replace(frame, estimates=estimates, seconds=seconds), fix
+        return replace(frame, estimates=estimates, seconds=seconds), seen, fix
 
     def _exhausted(self) -> Outcome | None:
         settings = self._settings
@@ -310,5 +334,6 @@ class _Loop:
                 sigma=position_sigma(fix.covariance),
                 distance=None if known is None else distance_between(known, self._pilot.goal),
                 command=command,
+                doubt=fix.what_speaks_against if state == Phase.ALIGNMENT.value else "",
             )
         )

@@ -114,9 +114,13 @@ class Explorer:
 
     def sees(self, state: FloatArray) -> bool:
         """Whether the scene fills most of what the camera sees at a state ``(3,)``."""
+        return self.shown_share(state) >= ENOUGH_COVERED
+
+    def shown_share(self, state: FloatArray) -> float:
+        """Share of what the camera sees at a state ``(3,)`` that the scene shows."""
         poses = (PLANAR.poses(state) @ self._base_from_camera)[None]
         _, covered = self._renderer.render_many(poses, self._intrinsics)
-        return bool(covered.mean() >= ENOUGH_COVERED)
+        return float(covered.mean())
 
     @staticmethod
     def _unseen(search: Search, sign: int) -> float:

@@ -11,8 +11,8 @@ from pipelines.localize.run import FrameRecord
 # A belief to act on: one mode with this share of the weight, and no wider than this, metres.
 SURE_SHARE = 0.9
 SURE_POSITION = 0.35
-# A view that explains the image worse leaves doubt, whatever the particles say.
-SURE_CONFIDENCE = 0.25
+# Nobody drives by an estimate that is more probably wrong than right (within 0.1 m and 3 degrees).
+SURE_CONFIDENCE = 0.5
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,10 @@ class Fix:
         is_blind: whether the image shows nothing.
         is_stale: whether it is the image before, although odometry says that the robot moved.
         is_aligned: whether ``state`` was aligned at the highest resolution.
+        status: of the filter.
+        confidence: probability that the filter's estimate is right, 0 to 1.
+        doubt: why it may not be docked by; empty where nothing speaks against that.
+        is_disputed: whether images and odometry agree on it, and the filter alone does not.
     """
 
     state: FloatArray
@@ -39,6 +43,15 @@ class Fix:
     is_blind: bool
     is_aligned: bool = False
     is_stale: bool = False
+    status: str = "tracking"
+    confidence: float = 1.0
+    doubt: str = ""
+    is_disputed: bool = False
+
+    @property
+    def what_speaks_against(self) -> str:
+        """Of docking by it; empty where nothing does."""
+        return self.doubt or ("the filter disagrees" if self.is_disputed else "")
 
 
 def fix_of(record: FrameRecord) -> Fix:
@@ -62,4 +75,6 @@ def fix_of(record: FrameRecord) -> Fix:
         is_sure=is_sure,
         is_blind=record.status == "blind",
         is_stale=record.status == "stale",
+        status=record.status,
+        confidence=record.confidence,
     )

@@ -72,9 +72,9 @@ def goal_of_image(
     alignment = FineAlignment(scene, camera, base_from_camera, settings, mask=mask)
     for number in range(LOOKS):
         fix = fix_of(localizer.step(image, np.zeros(3) if number else None, float(number)))
-        fix = alignment(fix, image)
-        if fix.is_sure and fix.is_aligned:
-            return fix.state
+        candidates = alignment(fix, image)
+        if candidates:
+            return candidates[0].state
     raise InputError(
         path,
         "shows no place in the scene that could be told from all others",

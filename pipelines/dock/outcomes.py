@@ -13,6 +13,7 @@ class Ending(Enum):
     OUT_OF_AREA = 12
     TIMED_OUT = 13
     ROBOT_FAILED = 14
+    VIEW_BLOCKED = 15
     INTERRUPTED = 130
 
     @property

@@ -27,6 +27,8 @@ class DockSettings:
         staging_distance: the staging pose is this far straight behind the goal.
         max_steps, max_seconds: after so many movements, or so much time, it gives up.
         max_search: so many steps it looks round before it is lost.
+        patience: so long it waits, standing still, when something covers the view. Simulated robots
+            take as many images and have no clock.
         max_attempts: so often it returns to the staging pose before it gives up.
         position_tolerance, heading_tolerance: how near the estimate has to be to the goal.
         position_bound, heading_bound: what the belief must rule out before it is called docked: two
@@ -47,6 +49,7 @@ class DockSettings:
     max_steps: int = 120
     max_seconds: float = 1800.0
     max_search: int = 40
+    patience: float = 10.0
     max_attempts: int = 4
     position_tolerance: float = 0.01
     heading_tolerance: float = math.radians(0.4)
@@ -71,6 +74,7 @@ class DockSettings:
         _within("number of steps", self.max_steps, 1, 100_000)
         _within("number of seconds", self.max_seconds, 0.1, 1e7)
         _within("number of search steps", self.max_search, 1, 100_000)
+        _within("patience", self.patience, 0.0, 1e5)
         _within("number of attempts", self.max_attempts, 1, 1000)
         _within("position tolerance", self.position_tolerance, 1e-4, 10.0)
         _within("heading tolerance", self.heading_tolerance, 1e-4, math.pi)

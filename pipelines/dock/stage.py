@@ -56,6 +56,7 @@ class DockSummary:
     path: Path
     docking: Docking
     note: str = ""
+    notes: tuple[str, ...] = ()
 
     @property
     def exit_code(self) -> int:
@@ -95,6 +96,7 @@ class DockSummary:
             metres, radians = self.true_error
             text = f"{100.0 * metres:.1f} cm, {math.degrees(radians):.2f} deg"
             rows.append(("true distance to the goal", text))
+        rows.extend(("note", note) for note in self.notes)
         rows.append(("run", str(self.path)))
         return rows
 
@@ -115,6 +117,7 @@ class DockSummary:
             "steps": len(docking.entries),
             "attempts": docking.attempts,
             "robot": self.note,
+            "notes": list(self.notes),
             "seconds": docking.seconds,
             "true_error": None
             if error is None
@@ -172,7 +175,8 @@ def dock_robot(
 
     Raises:
         InputError: an input cannot be used, or the output not be written.
-        OptionError: settings that make no sense, a goal where no robot can be.
+        OptionError: settings that make no sense, a goal where no robot can be or whose view the map
+            does not show.
         RobotError: the robot is none.
     """
     check_output(output, overwrite)
@@ -194,30 +198,45 @@ def dock_robot(
     origin = Origin(
         scene.identifier, relative_scene_path(scene_path, output), robot_name, seed, record
     )
-    run = run_of(docking, robot, filter_settings, settings, origin)
+    run = run_of(docking, robot, filter_settings, equipment.settings, origin)
     if run is not None:
         save_run(output, run, overwrite)
     elif docking.outcome.ending is Ending.ROBOT_FAILED:
         # Not a single image: there is nothing that a run could hold.
         raise OptionError(f"{docking.outcome.reason}; no run was written")
-    return DockSummary(output, docking, robot.note)
+    return DockSummary(output, docking, robot.note, equipment.notes)
 
 
 def dry_run(
     scene_path: Path,
     robot_name: str,
+    goal: Goal | None,
+    settings: DockSettings,
+    filter_settings: LocalizerSettings,
     robot_options: RobotOptions,
     seed: int,
     mask: Path | None = None,
 ) -> DryRunSummary:
     """Looks whether a robot is in order: takes an image, moves by nothing, stops.
 
+    Args:
+        scene_path, robot_name, settings, filter_settings, robot_options, seed, mask: as for
+            ``dock_robot``.
+        goal: where to, if that is to be looked at too.
+
     Raises:
-        InputError, OptionError, RobotError, StageError: it is not.
+        InputError, OptionError, RobotError, StageError: it is not, or cannot be docked there.
     """
     _check_seed(seed)
-    robot = robot_named(robot_name, load_scene(scene_path), robot_options, seed)
+    scene = load_scene(scene_path)
+    robot = robot_named(robot_name, scene, robot_options, seed)
     seen = _mask_of(robot, mask)
+    notes: tuple[str, ...] = ()
+    if goal is not None:
+        used = None if seen is None else seen.used
+        place = _goal_state(goal, scene, robot, used, filter_settings, seed)
+        rng = np.random.default_rng(seed)
+        notes = equipment_of(scene, robot, place, settings, filter_settings, rng, used).notes
     try:
         image = robot.take_image()
         measured = robot.move(STANDSTILL)
@@ -236,6 +255,8 @@ def dry_run(
         facts["mask"] = seen.text
     if robot.note:
         facts = {"camera images": robot.note, **facts}
+    if goal is not None:
+        facts["goal"] = "; ".join(notes) or "the map shows what the camera sees there"
     return DryRunSummary(robot_name, robot, facts)
 
 

@@ -73,9 +73,11 @@ UNDECIDED_MODE_SHARE = 0.95
 # An image that says less than this share of what images usually say raises the question whether the
 # body is somewhere else.
 DOUBTFUL_SHARE, USUAL_RATE = 0.5, 0.2
-# Where nobody knows the motion, the next image may come from anywhere: a hand turns a camera by
-# half its view in a moment. Then there is always a search, though for fewer places.
-UNKNOWN_MOTION_SHARE, UNKNOWN_MOTION_SEARCHED = 0.1, 8
+# Where nobody knows the motion, it is taken to go on as between the last two images, give or take
+# this share of it; when the image does not fit, so many times that, and the body may be anywhere
+# with this probability: a hand turns a camera by half its view in a moment.
+SPEED_CHANGE, SPEED_GROWTH = 0.5, 4.0
+UNKNOWN_MOTION_SHARE = 0.1
 # The proposal is this much wider than the likelihood, and never narrower than metres and radians.
 WIDENING = 1.5
 SMALLEST_POSITION, SMALLEST_ANGLE = 0.005, math.radians(0.15)
@@ -125,6 +127,7 @@ class Informed:
         self._usual: float | None = None
         self._calibration = uncalibrated(model.space.dimension)
         self._increment: FloatArray | None = None
+        self._velocity: FloatArray | None = None
         self._estimate: FloatArray | None = None
         self._last_estimate: FloatArray | None = None
         self._given = np.empty((0, model.space.dimension))
@@ -159,7 +162,7 @@ class Informed:
         share = self._doubt(weighted.evidence, before, observations)
         if share > prediction.anywhere_share:
             # The image does not fit where the body was thought to be: look everywhere at once.
-            weighted = self._weighted(replace(prediction, anywhere_share=share), observations)
+            weighted = self._weighted(self._widened(prediction, share), observations)
         self._presence = before.updated(weighted.evidence)
         self._belief = weighted.belief
         if self._presence.inside >= PRESENT:
@@ -178,10 +181,21 @@ class Informed:
         return Update(
             belief,
             self._presence.inside * self._faults.none,
-            None if motion is None else self._calibration.corrected(motion),
+            self._velocity if motion is None else self._calibration.corrected(motion),
             prediction.position_sigma,
             prediction.angle_sigma,
             largest >= PROMISING,
+        )
+
+    def _widened(self, prediction: Prediction, anywhere_share: float) -> Prediction:
+        """The prior when the image does not fit where the body was thought to be."""
+        if not self._is_walking:
+            return replace(prediction, anywhere_share=anywhere_share)
+        return replace(
+            prediction,
+            position_sigma=SPEED_GROWTH * prediction.position_sigma,
+            angle_sigma=min(SPEED_GROWTH * prediction.angle_sigma, math.pi / 2.0),
+            anywhere_share=max(anywhere_share, UNKNOWN_MOTION_SHARE),
         )
 
     def _doubt(self, evidence: float, before: Presence, observations: Observations) -> float:
@@ -197,17 +211,23 @@ class Informed:
         return max(CARRIED, MOST_CARRIED * (1.0 - before.updated(evidence).inside))
 
     def learn(self, estimate: FloatArray) -> None:
-        """Compares the motion between two estimates with odometry."""
+        """Compares the motion between two estimates with odometry; without any, keeps it."""
         space, before, motion = self._space, self._last_estimate, self._increment
-        if before is not None and motion is not None:
-            poses = space.poses(np.stack([before, estimate]))
-            error = space.difference(space.increment(poses[0], poses[1]), motion)
-            left = error - self._calibration.correction @ motion
-            sigmas = _spread(space, *self._settings.motion.standard_deviations(space, motion))
-            expected = sigmas**2 + _spread(space, ESTIMATE_POSITION, ESTIMATE_ANGLE) ** 2
-            surprise = float(np.mean(left**2 / expected))
-            self._calibration = self._calibration.learned(motion, error, surprise)
         self._estimate = estimate
+        self._velocity = None
+        if before is None:
+            return
+        poses = space.poses(np.stack([before, estimate]))
+        moved = space.increment(poses[0], poses[1])
+        if motion is None:
+            self._velocity = moved
+            return
+        error = space.difference(moved, motion)
+        left = error - self._calibration.correction @ motion
+        sigmas = _spread(space, *self._settings.motion.standard_deviations(space, motion))
+        expected = sigmas**2 + _spread(space, ESTIMATE_POSITION, ESTIMATE_ANGLE) ** 2
+        surprise = float(np.mean(left**2 / expected))
+        self._calibration = self._calibration.learned(motion, error, surprise)
 
     def _prediction(self, motion: FloatArray | None, before: Presence) -> Prediction:
         """The prior of this frame."""
@@ -222,13 +242,17 @@ class Informed:
             centres = space.composed(centres, self._calibration.corrected(motion))
             scale = self._calibration.noise_scale
         position_sigma, angle_sigma = settings.motion.standard_deviations(space, motion)
+        if motion is None and self._velocity is not None:
+            centres = space.composed(centres, self._velocity)
+            p = space.positions
+            metres, radians = map(np.linalg.norm, (self._velocity[:p], self._velocity[p:]))
+            position_sigma = max(position_sigma, SPEED_CHANGE * float(metres))
+            angle_sigma = max(angle_sigma, SPEED_CHANGE * float(radians))
         modes = find_modes(self._belief)
         undecided = modes[0].share < UNDECIDED_MODE_SHARE
         anywhere = UNDECIDED_SHARE if undecided else 0.0
         if before.inside < PRESENT:
             anywhere = max(anywhere, MOST_CARRIED * (1.0 - before.inside))
-        if motion is None:
-            anywhere = max(anywhere, UNKNOWN_MOTION_SHARE)
         return Prediction(
             space,
             centres,
@@ -279,6 +303,9 @@ class Informed:
         observation = observations.by_width[settings.fine_width]
         log_likelihoods = self._model.log_likelihoods(states, observation)
         labels = labelled(self._space, states, hypotheses)
+        if self._is_walking:
+            # Without odometry nothing but the image says how the body got here: it decides alone.
+            labels = np.ones_like(labels)
         prior = correction - math.log(count)
         image = weighed(prior, log_likelihoods, labels)
         log_weights, has_weight = normalise_log_weights(image.log_weights)
@@ -301,9 +328,8 @@ class Informed:
         return min(largest, next_count(self._belief, settings.particles, 0.0))
 
     def _searches(self, prediction: Prediction) -> bool:
-        """Whether there is a reason to look everywhere, and not only that the motion is unknown."""
-        usual = UNKNOWN_MOTION_SHARE if self._is_walking else 0.0
-        return self._belief is None or prediction.anywhere_share > usual
+        """Whether there is a reason to look everywhere."""
+        return self._belief is None or prediction.anywhere_share > 0.0
 
     def _proposal(self, prediction: Prediction, observations: Observations) -> Proposal | None:
         """Normal distributions around hypotheses that were aligned with the image."""
@@ -345,8 +371,7 @@ class Informed:
             found = np.concatenate([found, np.stack([mode.state for mode in modes])])
         is_start = self._belief is None
         if (is_start or prediction.anywhere_share > 0.0) and self._settings.proposal != "pnp":
-            count = SEARCHED if self._searches(prediction) else UNKNOWN_MOTION_SEARCHED
-            found = np.concatenate([found, self._lookalikes(prediction, observations, count)])
+            found = np.concatenate([found, self._lookalikes(prediction, observations, SEARCHED)])
         return found
 
     def _lookalikes(

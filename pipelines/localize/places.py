@@ -75,9 +75,9 @@ class Weighed:
 
     Attributes:
         log_weights: ``(M,)`` posterior weights, not normalised.
-        marginal: evidence of the image for the map, averaged over the prior of the places (of all
-            particles, where none is in any): where a pose sees nothing of the map, being there is
-            as good as being outside.
+        marginal: compressed evidence of the image for the map, averaged over the prior of the
+            places (of all particles, where none is in any): where a pose sees nothing of the map,
+            being there is as good as being outside.
         largest: compressed evidence for the place that the image fits best.
     """
 
@@ -122,4 +122,5 @@ def weighed(log_prior: FloatArray, evidence: FloatArray, labels: IntArray) -> We
             largest, loss_of_best = kept, mean - kept
     loss[labels == 0] = loss_of_best
     log_weights = exact - loss
-    return Weighed(log_weights, float(logsumexp(log_weights[labels > 0])), largest)
+    marginal = float(compressed(float(logsumexp(exact[labels > 0]))))
+    return Weighed(log_weights, marginal, largest)

@@ -25,6 +25,7 @@ DOCKING_ESTIMATE = "docking"
 LARGEST_TRUE_ERROR = 0.05
 STATE_SHADE = {
     "searching": "#FAF0CC",
+    "waiting": "#F3DCE6",
     "staging": "#E3EEF7",
     "approach": "#D5EBDD",
     "alignment": "#C3DDCB",

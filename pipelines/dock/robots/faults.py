@@ -1,14 +1,19 @@
-"""What can go wrong with a robot, on purpose: blocked wheels, a black camera, a failing driver."""
+"""What can go wrong with a robot, on purpose: blocked wheels, a covered view, a failing driver."""
 
 from typing import Any
 
+import cv2
 import numpy as np
 
 from pipelines.artifacts.array_types import FloatArray, ImageArray
 from pipelines.artifacts.errors import OptionError
 from pipelines.dock.robot import KnowsTruth, Robot
 
-KINDS = ("blocked", "slipping", "black", "driver")
+KINDS = ("blocked", "slipping", "black", "frozen", "people", "cover", "driver")
+# Passers-by are seen in so many images, and leave so much of the width free.
+PEOPLE_IMAGES, PEOPLE_FREE = 4, 0.25
+# Their clothes have so many patches across the image, of any brightness.
+PATCHES = (9, 12)
 
 
 class FaultyRobot:
@@ -17,7 +22,10 @@ class FaultyRobot:
     Args:
         robot: the one that is in order.
         kind: ``blocked`` (wheels do not turn), ``slipping`` (they turn in vain), ``black`` (the
-            camera shows nothing) or ``driver`` (it raises an exception).
+            camera shows nothing), ``frozen`` (it shows the same image for ever), ``people`` (they
+            walk through the view and cover most of it in ``PEOPLE_IMAGES`` images), ``cover``
+            (something that moves hangs in front of the lens for ever) or ``driver`` (it raises an
+            exception).
         step: the number of movements after which it happens.
 
     Raises:
@@ -35,6 +43,9 @@ class FaultyRobot:
         self.is_stopped = False
         self._robot, self._kind, self._step = robot, kind, step
         self._moves = 0
+        self._disturbed_images = 0
+        self._last: ImageArray | None = None
+        self._rng = np.random.default_rng(step)
 
     @property
     def _happens(self) -> bool:
@@ -43,8 +54,27 @@ class FaultyRobot:
     def take_image(self) -> ImageArray:
         """See ``Robot.take_image``."""
         image = self._robot.take_image()
-        is_black = self._kind == "black" and self._happens
-        return np.zeros_like(image) if is_black else image
+        if not self._happens:
+            self._last = image
+            return image
+        self._disturbed_images += 1
+        if self._kind == "frozen" and self._last is not None:
+            return self._last
+        if self._kind == "black":
+            return np.zeros_like(image)
+        if self._kind == "people" and self._disturbed_images <= PEOPLE_IMAGES:
+            return self._covered(image, PEOPLE_FREE)
+        return self._covered(image, 0.0) if self._kind == "cover" else image
+
+    def _covered(self, image: ImageArray, free: float) -> ImageArray:
+        """The image ``(H, W, 3)`` behind somebody, with a free part of its width on one side."""
+        height, width = image.shape[:2]
+        clothes = self._rng.integers(0, 256, (*PATCHES, 3), dtype=np.uint8)
+        front = cv2.resize(clothes, (width, height), interpolation=cv2.INTER_LINEAR)
+        seen = round(free * width)
+        kept = slice(0, seen) if self._disturbed_images % 2 else slice(width - seen, width)
+        front[:, kept] = image[:, kept]
+        return np.asarray(front, dtype=np.uint8)
 
     def move(self, forward: float, left: float, turn: float) -> Any:
         """See ``Robot.move``."""
