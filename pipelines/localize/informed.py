@@ -46,7 +46,7 @@ SEARCHED, FOLLOWED = 20, 6
 # many states around each: standard deviations in metres and radians.
 RETRIEVED, AROUND = 300, 8
 AROUND_POSITION, AROUND_ANGLE = 0.2, 0.08
-# For a short look at a picture the other way round.
+# A short look: at a picture the other way round, or where the motion is unknown.
 GLANCED, GLANCED_AROUND = 100, 3
 # A start pose that is so uncertain, metres, is searched around as a whole map is.
 START_POSITION = 0.6
@@ -75,9 +75,10 @@ UNDECIDED_MODE_SHARE = 0.95
 DOUBTFUL_SHARE, USUAL_RATE = 0.5, 0.2
 # Where nobody knows the motion, it is taken to go on as between the last two images, give or take
 # this share of it; when the image does not fit, so many times that, and the body may be anywhere
-# with this probability: a hand turns a camera by half its view in a moment.
+# with this probability: a hand turns a camera by half its view in a moment. Every image
+# is looked up all over the map as well, though more briefly.
 SPEED_CHANGE, SPEED_GROWTH = 0.5, 4.0
-UNKNOWN_MOTION_SHARE = 0.1
+UNKNOWN_MOTION_SHARE, UNKNOWN_MOTION_SEARCHED = 0.1, 8
 # The proposal is this much wider than the likelihood, and never narrower than metres and radians.
 WIDENING = 1.5
 SMALLEST_POSITION, SMALLEST_ANGLE = 0.005, math.radians(0.15)
@@ -195,7 +196,7 @@ class Informed:
             prediction,
             position_sigma=SPEED_GROWTH * prediction.position_sigma,
             angle_sigma=min(SPEED_GROWTH * prediction.angle_sigma, math.pi / 2.0),
-            anywhere_share=max(anywhere_share, UNKNOWN_MOTION_SHARE),
+            anywhere_share=max(anywhere_share, 2.0 * UNKNOWN_MOTION_SHARE),
         )
 
     def _doubt(self, evidence: float, before: Presence, observations: Observations) -> float:
@@ -253,6 +254,8 @@ class Informed:
         anywhere = UNDECIDED_SHARE if undecided else 0.0
         if before.inside < PRESENT:
             anywhere = max(anywhere, MOST_CARRIED * (1.0 - before.inside))
+        if motion is None:
+            anywhere = max(anywhere, UNKNOWN_MOTION_SHARE)
         return Prediction(
             space,
             centres,
@@ -328,8 +331,9 @@ class Informed:
         return min(largest, next_count(self._belief, settings.particles, 0.0))
 
     def _searches(self, prediction: Prediction) -> bool:
-        """Whether there is a reason to look everywhere."""
-        return self._belief is None or prediction.anywhere_share > 0.0
+        """Whether there is a reason to look everywhere, and not only that the motion is unknown."""
+        usual = UNKNOWN_MOTION_SHARE if self._is_walking else 0.0
+        return self._belief is None or prediction.anywhere_share > usual
 
     def _proposal(self, prediction: Prediction, observations: Observations) -> Proposal | None:
         """Normal distributions around hypotheses that were aligned with the image."""
@@ -371,7 +375,8 @@ class Informed:
             found = np.concatenate([found, np.stack([mode.state for mode in modes])])
         is_start = self._belief is None
         if (is_start or prediction.anywhere_share > 0.0) and self._settings.proposal != "pnp":
-            found = np.concatenate([found, self._lookalikes(prediction, observations, SEARCHED)])
+            count = SEARCHED if self._searches(prediction) else UNKNOWN_MOTION_SEARCHED
+            found = np.concatenate([found, self._lookalikes(prediction, observations, count)])
         return found
 
     def _lookalikes(
@@ -383,8 +388,10 @@ class Informed:
         fine = observations.by_width[settings.fine_width]
         index = self._index_of(prediction, coarse.intrinsics)
         scale = self._hypothesis_scale(prediction)
-        states, evidence = self._retrieved(index, coarse, fine, scale, RETRIEVED, AROUND)
-        if self._searches(prediction):
+        is_search = self._searches(prediction)
+        effort = (RETRIEVED, AROUND) if is_search else (GLANCED, GLANCED_AROUND)
+        states, evidence = self._retrieved(index, coarse, fine, scale, *effort)
+        if is_search:
             self._faults = self._faults.updated(
                 lambda image: self._most_evidence(index, image, scale), observations
             )
