@@ -2,7 +2,7 @@
 
 Particles stand around the robot's true place in a frame of the lobby's test drive, as they do while
 it is tracked, and are scored as the filter does by default: evidence of local contrast, one pixel
-in five, photos four times as fine as the comparison. Beside that stands what all pixels cost.
+in five, photos eight times as fine as the comparison. Beside that stands what all pixels cost.
 """
 
 import os

@@ -62,9 +62,10 @@ class FrameRecord:
         modes: ``(K, D + 1)`` state and share of the weight; heaviest first.
         covariance: ``(D, D)`` of the heaviest mode.
         effective_sample_size: of the weights.
-        confidence: 0 to 1.
-        status: one of ``STATUSES``: still searching, following one mode, following it by odometry
-            alone since the image shows nothing, or lost.
+        confidence: 0 to 1; of the filter the probability that the estimate is within 0.1 m and 3
+            degrees of the truth.
+        status: one of ``STATUSES``: still searching, following one place, following it by odometry
+            alone since the image shows nothing (blind) or is an old one (stale), or lost.
         seconds: stage -> wall time.
         refined_covariance: ``(D, D)`` of the error of the estimate ``refined``, or None.
 
