@@ -24,7 +24,7 @@ from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.motion import checked_increment
 from pipelines.localize.observation import Observation, Observations
 from pipelines.localize.outside import Presence
-from pipelines.localize.places import labelled, weighed
+from pipelines.localize.places import labelled, log_priors, places_of, weighed
 from pipelines.localize.population import next_count
 from pipelines.localize.prediction import Prediction
 from pipelines.localize.proposal import Proposal
@@ -48,8 +48,8 @@ RETRIEVED, AROUND = 300, 8
 AROUND_POSITION, AROUND_ANGLE = 0.2, 0.08
 # A short look: at a picture the other way round, or where the motion is unknown.
 GLANCED, GLANCED_AROUND = 100, 3
-# A start pose that is so uncertain, metres, is searched around as a whole map is.
-START_POSITION = 0.6
+# A start pose that is so uncertain, metres or radians, is searched around as a whole map is.
+START_POSITION, START_ANGLE = 0.6, 0.5
 # Around a start pose so many states are looked at.
 START_STATES = 3_000
 # A peak that is followed holds at least this share of the weight.
@@ -207,7 +207,8 @@ class Informed:
         if observations.uncovers:
             # What was concluded from a view that was partly hidden may be wrong.
             return MOST_CARRIED
-        if self._usual is not None and evidence >= DOUBTFUL_SHARE * self._usual:
+        usual = PROMISING if self._usual is None else DOUBTFUL_SHARE * self._usual
+        if evidence >= usual:
             return 0.0
         return max(CARRIED, MOST_CARRIED * (1.0 - before.updated(evidence).inside))
 
@@ -305,12 +306,14 @@ class Informed:
             correction = log_prior - log_drawn
         observation = observations.by_width[settings.fine_width]
         log_likelihoods = self._model.log_likelihoods(states, observation)
-        labels = labelled(self._space, states, hypotheses)
+        places = places_of(self._space, hypotheses)
+        labels = labelled(self._space, states, hypotheses, places)
+        place_priors = log_priors(self._space, prediction.log_density(hypotheses), places)
         if self._is_walking:
             # Without odometry nothing but the image says how the body got here: it decides alone.
-            labels = np.ones_like(labels)
+            labels, place_priors = np.zeros_like(labels), np.zeros(1)
         prior = correction - math.log(count)
-        image = weighed(prior, log_likelihoods, labels)
+        image = weighed(prior, log_likelihoods, labels, place_priors)
         log_weights, has_weight = normalise_log_weights(image.log_weights)
         if not has_weight:
             # The image speaks against all alike: what was believed before it stands.
@@ -391,7 +394,7 @@ class Informed:
         is_search = self._searches(prediction)
         effort = (RETRIEVED, AROUND) if is_search else (GLANCED, GLANCED_AROUND)
         states, evidence = self._retrieved(index, coarse, fine, scale, *effort)
-        if is_search:
+        if is_search and self._settings.start is None:
             self._faults = self._faults.updated(
                 lambda image: self._most_evidence(index, image, scale), observations
             )
@@ -432,7 +435,10 @@ class Informed:
             return self._index
         states = self._places()
         if is_start:
-            states = prediction.sample(START_STATES, self._settings.resampling, self._rng)
+            around = prediction.sample(START_STATES, self._settings.resampling, self._rng)
+            log_density = prediction.log_density(np.concatenate([states, around]))
+            likely = log_density[: len(states)] >= np.quantile(log_density[len(states) :], 0.01)
+            states = np.concatenate([states[likely], around])
         mount = model.body_from_camera
         index = build_index(model.renderer, self._space, mount, intrinsics, states)
         if not is_start:
@@ -443,7 +449,8 @@ class Informed:
         """How near to each other hypotheses are looked for, as a share of the usual."""
         if self._belief is not None or prediction.anywhere_share > 0.0:
             return 1.0
-        return min(1.0, prediction.position_sigma / START_POSITION)
+        position, angle = prediction.position_sigma, prediction.angle_sigma
+        return min(1.0, max(position / START_POSITION, angle / START_ANGLE))
 
     def _places(self) -> FloatArray:
         """States ``(N, D)`` at which thumbnails are rendered."""

@@ -39,6 +39,9 @@ from pipelines.localize.track import MOST_REJECTED, Track
 # The body is followed while it is in one place of the map with this probability, all alternatives
 # counted (other places, outside of the map), and that place is narrower than this.
 TRACKING_PROBABILITY = 0.9
+# A body that has not been found yet is followed after so many such images running, or one of which
+# this share is explained (``MeasurementModel.explained``).
+CONFIRMING_IMAGES, CONFIRMING_SHARE = 3, 0.5
 # It is lost while the image more probably does not show the map at all.
 LOST_PROBABILITY = 0.5
 TRACKING_POSITION, TRACKING_HEADING = 0.35, math.radians(10.0)
@@ -95,7 +98,8 @@ class Localizer:
         views = scene.world_from_camera
         self._strategy = _strategy(self._model, region, views, settings, rng)
         self._track: Track | None = None
-        self._has_been_found = settings.start is not None
+        self._has_been_found = False
+        self._likely_images = 0
         sigmas = np.array(
             [settings.map_position_sigma] * self.space.positions
             + [settings.map_heading_sigma] * self.space.angles
@@ -195,6 +199,13 @@ class Localizer:
             refined_covariance=covariance,
         )
 
+    def _is_confirmed(self, main: Mode, observations: Observations) -> bool:
+        """Whether more than one image speaks for a place, or one that leaves little unexplained."""
+        if self._has_been_found or self._likely_images >= CONFIRMING_IMAGES:
+            return True
+        fine = observations.by_width[self.settings.fine_width]
+        return self._model.explained(main.state, fine) >= CONFIRMING_SHARE
+
     def _predicted_track(self, update: Update) -> Track | None:
         """The track after the motion before this image."""
         if self._track is None or update.motion is None:
@@ -244,10 +255,12 @@ class Localizer:
             return "blind"
         if observations.is_stale:
             return "stale"
-        if update.inside * main.share >= TRACKING_PROBABILITY and _is_narrow(main):
+        is_likely = update.inside * main.share >= TRACKING_PROBABILITY and _is_narrow(main)
+        self._likely_images = self._likely_images + 1 if is_likely else 0
+        if is_likely and self._is_confirmed(main, observations):
             self._has_been_found = True
             return "tracking"
-        is_search = update.is_promising and not self._has_been_found
+        is_search = (update.is_promising or is_likely) and not self._has_been_found
         return "global" if update.inside >= LOST_PROBABILITY or is_search else "lost"
 
 

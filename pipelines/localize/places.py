@@ -37,27 +37,59 @@ def compressed(evidence: FloatArray | float) -> FloatArray:
     return np.asarray(np.sign(evidence) * COMPRESSED * np.log1p(size / COMPRESSED))
 
 
-def labelled(space: StateSpace, states: FloatArray, hypotheses: FloatArray) -> IntArray:
+def places_of(space: StateSpace, hypotheses: FloatArray) -> IntArray:
+    """Which place each of the hypotheses ``(K, D)`` belongs to, ``(K,)``, numbered from 1."""
+    if len(hypotheses) == 0:
+        return np.zeros(0, dtype=np.int64)
+    metres, radians = _distances(space, hypotheses, hypotheses)
+    joined = (metres <= JOINED_POSITION) & (radians <= JOINED_ANGLE)
+    _, place = connected_components(coo_array(joined), directed=False)
+    return place.astype(np.int64) + 1
+
+
+def labelled(
+    space: StateSpace, states: FloatArray, hypotheses: FloatArray, places: IntArray
+) -> IntArray:
     """Which place each of the states ``(M, D)`` belongs to, ``(M,)``.
 
     Args:
         space: what a state is.
         states: of the particles.
-        hypotheses: ``(K, D)``; those near each other are one place.
+        hypotheses: ``(K, D)``.
+        places: ``(K,)`` see ``places_of``.
 
     Returns:
-        Numbers from 1; 0 for states near none of the hypotheses.
+        Numbers of places; 0 for states near none of the hypotheses.
     """
     if len(hypotheses) == 0:
         return np.zeros(len(states), dtype=np.int64)
-    between, turned = _distances(space, hypotheses, hypotheses)
-    joined = (between <= JOINED_POSITION) & (turned <= JOINED_ANGLE)
-    _, place = connected_components(coo_array(joined), directed=False)
-    distance, angle = _distances(space, states, hypotheses)
-    relative = np.maximum(distance / PLACE_POSITION, angle / PLACE_ANGLE)
+    metres, radians = _distances(space, states, hypotheses)
+    relative = np.maximum(metres / PLACE_POSITION, radians / PLACE_ANGLE)
     nearest = np.argmin(relative, axis=1)
     is_near = relative[np.arange(len(states)), nearest] <= 1.0
-    return np.where(is_near, place[nearest].astype(np.int64) + 1, 0)
+    return np.where(is_near, places[nearest], 0)
+
+
+def log_priors(space: StateSpace, log_densities: FloatArray, places: IntArray) -> FloatArray:
+    """Logarithm of the prior probability ``(P + 1,)`` of each place, by its number.
+
+    The prior's density at the place's likeliest hypothesis times the volume of a place, at most 1.
+    (A sum over particles would depend on whether one happened to be drawn there.) Number 0, near
+    no hypothesis, has 1.
+
+    Args:
+        space: what a state is.
+        log_densities: ``(K,)`` of the prior at the hypotheses.
+        places: ``(K,)`` see ``places_of``.
+    """
+    volume = math.pi * PLACE_POSITION**2 * 2.0 * PLACE_ANGLE
+    if space.angles == 3:
+        volume = (4.0 / 3.0 * math.pi) ** 2 * (PLACE_POSITION * PLACE_ANGLE) ** 3
+    result = np.zeros(int(places.max(initial=0)) + 1)
+    for place in range(1, len(result)):
+        largest = float(log_densities[places == place].max())
+        result[place] = min(0.0, largest + math.log(volume))
+    return result
 
 
 def _distances(
@@ -86,18 +118,21 @@ class Weighed:
     largest: float
 
 
-def weighed(log_prior: FloatArray, evidence: FloatArray, labels: IntArray) -> Weighed:
+def weighed(
+    log_prior: FloatArray, evidence: FloatArray, labels: IntArray, log_place_priors: FloatArray
+) -> Weighed:
     """Posterior weights with an image's evidence compressed between places.
 
-    Within a place weights are prior times evidence. The place as a whole is worth less by how much
-    its evidence, the posterior's mean there, loses by being compressed. Particles in no place are
-    on the slopes of the best one, or see nothing: they are worth as much less as that one.
+    Within a place weights are prior times evidence. Their sum over the prior of the place is the
+    evidence for the place as a whole, and is compressed. Particles near no hypothesis are on the
+    slopes of the best place, or see nothing: they are worth as much less as that one.
 
     Args:
         log_prior: ``(M,)`` weights of the particles before the image, which add up to 1 on average
             over the particles that might have been drawn.
         evidence: ``(M,)`` of the image at the particles.
         labels: ``(M,)`` see ``labelled``.
+        log_place_priors: ``(P + 1,)`` see ``log_priors``.
 
     Raises:
         StageError: evidence that is NaN or +inf: the comparison is broken.
@@ -106,21 +141,20 @@ def weighed(log_prior: FloatArray, evidence: FloatArray, labels: IntArray) -> We
     if broken:
         raise StageError(f"{broken} of {len(evidence)} log-likelihoods are NaN or +inf")
     exact = log_prior + evidence
-    if not np.any(labels > 0):
-        labels = labels + 1
     loss = np.zeros(len(exact))
     largest, loss_of_best = -math.inf, 0.0
-    for place in np.unique(labels[labels > 0]):
-        own = (labels == place) & np.isfinite(exact)
-        if not own.any():
+    numbers = np.unique(labels[labels > 0]) if np.any(labels > 0) else np.zeros(1, np.int64)
+    for place in numbers:
+        own = labels == place
+        sum_ = float(logsumexp(exact[own])) - float(log_place_priors[place])
+        if not math.isfinite(sum_):
             continue
-        shares = np.exp(exact[own] - logsumexp(exact[own]))
-        mean = float(shares @ evidence[own])
-        kept = float(compressed(mean))
-        loss[own] = mean - kept
+        kept = float(compressed(sum_))
+        loss[own] = sum_ - kept
         if kept > largest:
-            largest, loss_of_best = kept, mean - kept
-    loss[labels == 0] = loss_of_best
-    log_weights = exact - loss
-    marginal = float(compressed(float(logsumexp(exact[labels > 0]))))
-    return Weighed(log_weights, marginal, largest)
+            largest, loss_of_best = kept, sum_ - kept
+    if numbers[0] > 0:
+        loss[labels == 0] = loss_of_best
+    seen = np.isin(labels, numbers)
+    marginal = float(compressed(float(logsumexp(exact[seen]))))
+    return Weighed(exact - loss, marginal, largest)
