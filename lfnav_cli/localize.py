@@ -132,9 +132,9 @@ def _missing(values: Mapping[str, Path | None]) -> click.MissingParameter:
 )
 @click.option(
     "--likelihood",
-    type=click.Choice(["squared", "robust", "zncc", "gradient"]),
-    help="How images are compared. Default: robust (absolute differences up to a limit); with "
-    "condensation squared, as in the paper.",
+    type=click.Choice(["evidence", "squared", "robust", "zncc", "gradient"]),
+    help="How images are compared. Default: evidence (local contrast, against an image that does "
+    "not show the map); with condensation squared, as in the paper.",
 )
 @click.option(
     "--resampling",

@@ -26,12 +26,15 @@ from pipelines.lightfield.proxy import Quality, quality_named
 from pipelines.lightfield.renderer import Renderer, RenderingWithSurface
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.views import views_of_scene
-from pipelines.localize.localizer import MODEL_ERROR, TRACKING_HEADING, TRACKING_POSITION
+from pipelines.localize.localizer import TRACKING_HEADING, TRACKING_POSITION
 from pipelines.localize.observation import Observation, Observer
 from pipelines.localize.refinement import Refined, refine
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import PLANAR
 
+# Errors of the model reach farther than a tile of the image: the standard deviations that tiles tell
+# are this much too small. Wider than the filter's, since docking drives by a single image.
+MODEL_ERROR = 3.3
 # Photos are kept, and the camera's image compared, at so many pixels across.
 PHOTO_SIDE, FINEST_WIDTH = 640, 320
 # In narrower images a neighbourhood spans too much: brightness itself is compared there.

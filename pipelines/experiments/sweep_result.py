@@ -144,7 +144,7 @@ def judged(run: Run, cpu_seconds: float) -> RunResult:
     trust = trust_of(run, _truth(run))
     settled = _medians(errors[:, SETTLED:][:, has_truth[SETTLED:]])
     blind = [frame.confidence for frame in run.frames if frame.status == "blind"]
-    seeing = [frame.confidence for frame in run.frames if frame.status != "blind"]
+    seeing = [frame.confidence for frame in run.frames if frame.status not in ("blind", "stale")]
     seconds = np.array([sum(frame.seconds.values()) for frame in run.frames])
     statuses = np.array([frame.status for frame in run.frames])
     searched = statuses == "global"

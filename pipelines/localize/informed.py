@@ -125,6 +125,7 @@ class Informed:
         self._belief: Belief | None = None
         self._presence = Presence()
         self._faults = CameraFaults()
+        self._start_was_contradicted = False
         self._usual: float | None = None
         self._calibration = uncalibrated(model.space.dimension)
         self._increment: FloatArray | None = None
@@ -163,6 +164,8 @@ class Informed:
         share = self._doubt(weighted.evidence, before, observations)
         if share > prediction.anywhere_share:
             # The image does not fit where the body was thought to be: look everywhere at once.
+            is_start = self._belief is None and self._settings.start is not None
+            self._start_was_contradicted = self._start_was_contradicted or is_start
             weighted = self._weighted(self._widened(prediction, share), observations)
         self._presence = before.updated(weighted.evidence)
         self._belief = weighted.belief
@@ -211,6 +214,22 @@ class Informed:
         if evidence >= usual:
             return 0.0
         return max(CARRIED, MOST_CARRIED * (1.0 - before.updated(evidence).inside))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """See ``Strategy.notes``."""
+        notes = []
+        if self._start_was_contradicted:
+            notes.append(
+                "the first image does not show what the map shows around the start pose: "
+                "the start pose was given up and the whole map searched"
+            )
+        if self._faults.none < 0.5:
+            notes.append(
+                f"the images fit the map better {self._faults.likeliest}: "
+                "check how the camera is mounted and whether its driver changes the picture"
+            )
+        return tuple(notes)
 
     def learn(self, estimate: FloatArray) -> None:
         """Compares the motion between two estimates with odometry; without any, keeps it."""

@@ -107,6 +107,11 @@ class Localizer:
         self._map_covariance = np.diag(sigmas**2)
         self._moved = np.zeros(self.space.dimension)
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a user should know of the images so far, a line each."""
+        return self._strategy.notes
+
     def step(
         self,
         image: ImageArray,

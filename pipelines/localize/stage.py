@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.artifacts.array_types import BoolArray, FloatArray, ImageArray
+from pipelines.artifacts.array_types import FloatArray, ImageArray
 from pipelines.artifacts.atomic import check_output
-from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.artifacts.errors import InputError, OptionError, StageError
 from pipelines.artifacts.progress import Progress
 from pipelines.artifacts.provenance import provenance, sha256_of_file
 from pipelines.dataset.dataset import (
@@ -26,6 +26,7 @@ from pipelines.geometry.planarity import check_planar
 from pipelines.lightfield.bundle import load_scene
 from pipelines.lightfield.devices import resolved_device
 from pipelines.lightfield.scene import Scene
+from pipelines.localize.belief import Region
 from pipelines.localize.description import RunSummary
 from pipelines.localize.localizer import Localizer, region_of
 from pipelines.localize.map_heights import notes_on_heights
@@ -174,7 +175,10 @@ def localize_dataset(
                 )
             )
         rng = np.random.default_rng(seed)
-        locate = _locator(scene, camera, mount, mask, settings, rng, pnp)
+        localizer = None
+        if settings.method == "filter":
+            localizer = Localizer(scene, camera, mount, settings, rng, mask=mask)
+        locate = _locator(localizer, pnp, region_of(scene, settings), settings, rng)
         frames = []
         for index in progress(range(len(dataset)), "localize", len(dataset)):
             increment = None
@@ -182,6 +186,8 @@ def localize_dataset(
                 increment = space.increment(body_poses[index - 1], body_poses[index])
             time, name = float(dataset.timestamps[index]), dataset.image_names[index]
             frames.append(locate(dataset.read_image(index), increment, time, name))
+        if localizer is not None:
+            notes += localizer.notes
     return Run(
         scene_identifier=scene.identifier,
         scene_path=scene_path,
@@ -231,28 +237,32 @@ def check_odometry(dataset: Dataset, settings: LocalizerSettings, source: Path) 
 
 
 def _locator(
-    scene: Scene,
-    camera: Camera,
-    mount: FloatArray,
-    mask: BoolArray | None,
+    localizer: Localizer | None,
+    pnp: PnpLocalizer | None,
+    region: Region,
     settings: LocalizerSettings,
     rng: np.random.Generator,
-    pnp: PnpLocalizer | None,
 ) -> Callable[[ImageArray, FloatArray | None, float, str], FrameRecord]:
-    """What makes a record of an image, the motion before it, its time and its name."""
-    if pnp is not None and settings.method == "pnp":
-        region = region_of(scene, settings)
-        return lambda image, _, time, name: pnp_record(
-            pnp.locate(image), region, settings, rng, time, name
-        )
-    localizer = Localizer(scene, camera, mount, settings, rng, mask=mask)
-    if pnp is None:
+    """What makes a record of an image, the motion before it, its time and its name.
+
+    Args:
+        localizer: the filter; None: features alone.
+        pnp: features; None: the filter alone.
+        region: where the body may be.
+        settings: of the filter.
+        rng: of the particles of frames that features alone did not locate.
+    """
+    if pnp is None and localizer is not None:
         return localizer.step
+    if pnp is None:
+        raise StageError("a frame is located by the filter, by its features, or by both")
 
     def step(
         image: ImageArray, increment: FloatArray | None, time: float, name: str
     ) -> FrameRecord:
         answer = pnp.locate(image)
+        if localizer is None:
+            return pnp_record(answer, region, settings, rng, time, name)
         hypotheses = None if settings.proposal == "appearance" else answer.hypotheses
         record = localizer.step(image, increment, time, name, hypotheses)
         return beside(record, answer, noted=settings.with_pnp)

@@ -78,6 +78,10 @@ class Strategy(Protocol):
                 They say where to look, never what to believe.
         """
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a user should know of the images so far, a line each."""
+
     def learn(self, estimate: FloatArray) -> None:
         """Tells it the best estimate ``(D,)`` of a frame in which one mode is followed."""
 
@@ -150,6 +154,11 @@ class Condensation:
             self._presence = self._presence.updated(evidence)
         sigmas = self._settings.motion.standard_deviations(self._model.space, motion)
         return Update(self._belief, self._presence.inside, motion, *sigmas)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Nothing: the paper's filter looks at images one way only."""
+        return ()
 
     def learn(self, estimate: FloatArray) -> None:
         """The paper's filter learns nothing but its belief."""

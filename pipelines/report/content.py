@@ -101,6 +101,7 @@ def _course_table(run: Run) -> Table:
         ("tracking", _status_text(run, "tracking")),
         ("searching", _status_text(run, "global")),
         ("blind, by odometry alone", _status_text(run, "blind")),
+        ("stale image, by odometry alone", _status_text(run, "stale")),
         ("lost", _status_text(run, "lost")),
         ("at the last frame", f"{last.status}, confidence {last.confidence:.2f}"),
         ("particles", f"{counts[0]:,} at the first frame, {counts[-1]:,} at the last"),

@@ -17,7 +17,7 @@ from pipelines.report.top_view import MIN_MODE_SHARE, PARTICLE_TONES, arrow_mark
 from pipelines.report.tracks import Tracks
 
 # Estimates in frames of these kinds are drawn hollow.
-HOLLOW = {"global": "searching", "blind": "blind"}
+HOLLOW = {"global": "searching", "blind": "blind", "stale": "stale"}
 
 
 def legend_entries(

@@ -32,6 +32,7 @@ STATUS_SHADE = {
     "global": ("#FAF0CC", ""),
     "lost": ("#F9D8CA", "//"),
     "blind": ("#D9DEE4", ""),
+    "stale": ("#C9D3DE", ".."),
     "tracking": ("#FFFFFF", ""),
 }
 HATCH_COLOUR = "#C9714A"
@@ -40,12 +41,14 @@ STATUS_WORDS = {
     "global": "still searching",
     "lost": "LOST",
     "blind": "blind, by odometry alone",
+    "stale": "stale image, by odometry alone",
     "tracking": "tracking",
 }
 STATUS_MEANING = {
     "global": "global: still searching",
     "lost": "lost: says it does not know",
     "blind": "blind: by odometry alone",
+    "stale": "stale: the image repeats, by odometry alone",
     "tracking": "tracking",
 }
 

@@ -36,10 +36,12 @@ def verdict_of(run: Run, errors: TrackEvaluation | None) -> Verdict:
     if last.status == "global":
         sentence = "Not localized: at the last frame the filter was still searching."
         return Verdict("bad", sentence + addition + _lost_text(run))
-    if last.status == "blind":
+    if last.status in ("blind", "stale"):
         sentence = (
             "By odometry alone: the last image shows nothing that the filter could compare with "
             "the model."
+            if last.status == "blind"
+            else "By odometry alone: the last image is one from before, although the robot moved."
         )
         kind = "unknown" if errors is None else "good" if errors.success else "bad"
         return Verdict(kind, sentence + addition + _lost_text(run))
