@@ -32,7 +32,7 @@ from pipelines.localize.refinement import Refined, refine
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import PLANAR
 
-# Errors of the model reach farther than a tile of the image: the standard deviations that tiles tell
+# Errors of the model reach farther than a tile of the image: standard deviations that tiles tell
 # are this much too small. Wider than the filter's, since docking drives by a single image.
 MODEL_ERROR = 3.3
 # Photos are kept, and the camera's image compared, at so many pixels across.
