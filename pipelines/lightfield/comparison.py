@@ -139,7 +139,7 @@ def compare(
         query: (H, W, 4) camera image, see ``prepared``. For EVIDENCE its last number is, where the
             pixel is to be compared, 1 and the pixel's row of the table.
         fit_gain: whether one brightness factor is fitted first.
-        table: (EVIDENCE_ROWS * EVIDENCE_BINS,) row by row; of EVIDENCE alone.
+        table: of EVIDENCE alone, row by row: EVIDENCE_BINS zeros, then ``PixelEvidence.table``.
 
     Returns:
         Cost, in [0, 1] but for EVIDENCE; smaller is better.
@@ -273,15 +273,15 @@ def _evidence_cost(image: Float32Array, query: Float32Array, table: Float32Array
     scale = np.float32(1.0 / EVIDENCE_BIN)
     largest = np.float32(EVIDENCE_BINS - 1)
     for i in range(len(image) // 4):
-        if image[4 * i + 3] * query[4 * i + 3] > ZERO:
-            difference = (
-                abs(image[4 * i] - query[4 * i])
-                + abs(image[4 * i + 1] - query[4 * i + 1])
-                + abs(image[4 * i + 2] - query[4 * i + 2])
-            )
-            column = int(min(difference * scale, largest))
-            row = int(query[4 * i + 3]) - 1
-            total -= float(table[row * EVIDENCE_BINS + column])
+        difference = (
+            abs(image[4 * i] - query[4 * i])
+            + abs(image[4 * i + 1] - query[4 * i + 1])
+            + abs(image[4 * i + 2] - query[4 * i + 2])
+        )
+        # Pixels that are not covered or not compared look up the row of zeros: no branch.
+        row = np.uintp(image[4 * i + 3] * query[4 * i + 3])
+        column = np.uintp(min(difference * scale, largest))
+        total -= float(table[row * np.uintp(EVIDENCE_BINS) + column])
     return total
 
 

@@ -20,7 +20,13 @@ from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
 from pipelines.lightfield.aligned_memory import aligned
 from pipelines.lightfield.blending import Blending, outlook_positions, tile_borders
-from pipelines.lightfield.comparison import Cost, PixelEvidence, prepared, prepared_pixels
+from pipelines.lightfield.comparison import (
+    EVIDENCE_BINS,
+    Cost,
+    PixelEvidence,
+    prepared,
+    prepared_pixels,
+)
 from pipelines.lightfield.devices import Device, chosen_gpu
 from pipelines.lightfield.kernels import NO_COMPARISON, render_nets, render_tiles
 from pipelines.lightfield.proxy import SOURCE_VIEWS, Quality, cell_size, usual_inverse_depth
@@ -392,14 +398,16 @@ def _surface_pixels(intrinsics: Intrinsics, chosen: Int32Array) -> Int32Array:
 
 
 def evidence_table(cost: Cost, evidence: PixelEvidence | None) -> Float32Array:
-    """What the comparison looks up: a table for EVIDENCE, nothing for any other cost.
+    """What the comparison looks up, see ``compare``; nothing for any cost but EVIDENCE.
 
     Raises:
         OptionError: EVIDENCE without a table, or another cost with one.
     """
     if (cost is Cost.EVIDENCE) != (evidence is not None):
         raise OptionError("the cost EVIDENCE, and no other, takes a table of evidence")
-    return NO_TABLE if evidence is None else evidence.table.reshape(-1)
+    if evidence is None:
+        return NO_TABLE
+    return np.append(np.zeros(EVIDENCE_BINS, np.float32), evidence.table.reshape(-1))
 
 
 def check_query(query: ImageArray | Float32Array, intrinsics: Intrinsics) -> None:

@@ -6,7 +6,7 @@ from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray
 from pipelines.lightfield.compiled import compiled, compiled_leaf, compiled_loop
 
 # A pixel whose neighbours differ by less than so many grey levels says nothing about the pose.
-FLAT = 4.0
+FLAT = 10.0
 # Sums over a pixel's channels, see ``_add_channels``.
 SUMS = 14
 # Numbers of an unknown: how it turns and shifts points, and how it moves a pixel.

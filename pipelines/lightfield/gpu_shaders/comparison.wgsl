@@ -3,7 +3,7 @@
 
 @group(0) @binding(8) var<storage, read_write> images: array<vec4<f32>>;
 @group(0) @binding(9) var<storage, read> photo: array<vec4<f32>>;  // RGB; 1 where it counts, else 0.
-// For EVIDENCE 1 and its row of the table, which stands behind the pixels, row by row.
+// For EVIDENCE 1 and its row of the table; a row of zeros and the table stand behind the pixels.
 @group(0) @binding(10) var<storage, read_write> costs: array<f32>;
 
 const LANES: u32 = 64u;
@@ -53,7 +53,7 @@ fn image_at(slot: u32, pixel: vec2<u32>) -> vec4<f32> {
 fn evidence(rendered: vec3<f32>, taken: vec4<f32>) -> f32 {
   let difference = dot(abs(rendered - taken.xyz), vec3(1.0));
   let column = u32(min(difference / EVIDENCE_BIN, f32(EVIDENCE_BINS - 1u)));
-  let entry = (u32(taken.w) - 1u) * EVIDENCE_BINS + column;
+  let entry = u32(taken.w) * EVIDENCE_BINS + column;
   return photo[settings.size.x * settings.size.y + entry / 4u][entry % 4u];
 }
 
