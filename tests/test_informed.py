@@ -180,6 +180,37 @@ def test_particles_follow_a_robot_whose_wheels_are_worn() -> None:
     assert abs(np.median(too_far)) < 0.02
 
 
+# --- without odometry --------------------------------------------------------------------------
+
+
+def test_without_odometry_a_steady_motion_faster_than_the_random_walk_is_followed() -> None:
+    # 0.3 m from image to image: two standard deviations of the walk, each time in the same way.
+    truth = np.array([facing_wall(-1.5 + 0.3 * i, 1.7) for i in range(10)])
+    chosen = informed_settings(start=tuple(map(float, truth[0])), start_position_sigma=0.05)
+    for seed in range(3):
+        robot = localizer(chosen, seed)
+        for state in truth:
+            record = robot.step(photo(state))
+            assert record.status == "tracking"
+            assert position_error(record, state, "refined") < 0.02
+        # Behind a covered lens it goes on as it did.
+        blind = robot.step(BLACK)
+        moved = blind.estimates["mode"] - record.estimates["refined"]
+        np.testing.assert_allclose(moved[:2], [0.3, 0.0], atol=0.12)
+
+
+def test_a_prediction_that_is_off_does_not_make_an_image_count_less() -> None:
+    """Back and forth: the speed so far is wrong every time, and the image alone is right."""
+    truth = np.array([facing_wall(-0.5 + 0.12 * (i % 2), 1.7) for i in range(8)])
+    chosen = informed_settings(start=tuple(map(float, truth[0])), start_position_sigma=0.05)
+    for seed in range(2):
+        robot = localizer(chosen, seed)
+        for state in truth:
+            record = robot.step(photo(state))
+            assert record.status == "tracking"
+            assert position_error(record, state, "refined") < 0.015
+
+
 # --- repeatable --------------------------------------------------------------------------------
 
 

@@ -294,6 +294,19 @@ def test_the_same_image_of_a_robot_that_stands_still_is_not_stale(make: Any) -> 
         robot.step(image, nothing)
 
 
+@every_strategy
+def test_a_camera_that_hangs_from_the_first_image_on_is_stale(make: Any) -> None:
+    for chosen in (make(), make(start=START, start_position_sigma=0.1)):
+        robot = localizer(chosen)
+        first = robot.step(photo(TRUTH[0]))
+        # There is none before it that it could be, whatever odometry says.
+        assert first.status in ("global", "tracking")
+        for _ in range(3):
+            record = robot.step(photo(TRUTH[0]), np.array([0.1, 0.0, 0.0]))
+            assert (record.status, record.confidence) == ("stale", 0.0)
+            assert record.refined_covariance is None
+
+
 def test_a_hanging_camera_never_makes_the_robot_surer_of_where_it_was() -> None:
     """Twenty times the same picture, while odometry says that the robot drives away."""
     robot = localizer(informed_settings(start=START, start_position_sigma=0.1))
