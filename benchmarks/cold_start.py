@@ -55,7 +55,11 @@ def all_kernels(folder: Path) -> None:
     image = observations()[WIDTHS[0]]
     poses = PLANAR.poses(states_around(2)) @ dataset.body_from_camera
     edges = np.arange(1, EVIDENCE_ROWS, dtype=np.float32)
-    blank = PixelEvidence(edges, np.zeros((EVIDENCE_ROWS, EVIDENCE_BINS), dtype=np.float32))
+    blank = PixelEvidence(
+        edges,
+        np.zeros((EVIDENCE_ROWS, EVIDENCE_BINS), dtype=np.float32),
+        np.zeros(EVIDENCE_ROWS, dtype=np.float32),
+    )
     for blending in Blending:
         for quality in (Quality.PLANE, Quality.MEDIUM):
             renderer = Renderer.of_scene(scene, WIDTHS[0], blending, quality, threads=1)

@@ -1,7 +1,7 @@
 """How long it takes until something can be asked: opening a scene model, and the front door.
 
 Opening is ``load_scene``: all bytes are read, checksums and hash verified, everything checked. What
-localization does next, building views of 160 pixels, decodes every photo, and is timed apart.
+localization does next, building views of 320 pixels, decodes every photo, and is timed apart.
 """
 
 import sys

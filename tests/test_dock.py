@@ -192,7 +192,9 @@ class Hanging(PaintedRobot):
 def test_a_camera_that_hangs_ends_the_docking_before_the_robot_goes_far() -> None:
     robot = Hanging()
     docking, run = docked(robot, near_wall())
-    assert docking.outcome.ending is Ending.BLOCKED
+    # Not blocked: odometry says that the robot moves, and its camera that it is the camera.
+    assert docking.outcome.ending is Ending.ROBOT_FAILED
+    assert "the camera hangs" in docking.outcome.reason
     assert robot.is_stopped
     stale = [frame.status == "stale" for frame in run.frames]
     assert stale[:5] == [False] * 5

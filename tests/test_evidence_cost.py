@@ -42,7 +42,10 @@ def random_evidence(generator: np.random.Generator) -> PixelEvidence:
     """Any table: no entry is like another, so that whoever reads a wrong one is found out."""
     edges = np.sort(generator.uniform(20.0, 350.0, EVIDENCE_ROWS - 1))
     table = generator.normal(0.0, 2.0, (EVIDENCE_ROWS, EVIDENCE_BINS))
-    return PixelEvidence(edges.astype(np.float32), table.astype(np.float32))
+    expected = generator.uniform(0.0, 2.0, EVIDENCE_ROWS)
+    return PixelEvidence(
+        edges.astype(np.float32), table.astype(np.float32), expected.astype(np.float32)
+    )
 
 
 def by_hand(
@@ -119,7 +122,8 @@ def test_uncovered_and_hidden_pixels_add_exactly_nothing() -> None:
 
 def test_rows_are_found_by_strength() -> None:
     edges = np.arange(10.0, 10.0 * EVIDENCE_ROWS, 10.0, dtype=np.float32)
-    evidence = PixelEvidence(edges, np.zeros((EVIDENCE_ROWS, EVIDENCE_BINS), np.float32))
+    table = np.zeros((EVIDENCE_ROWS, EVIDENCE_BINS), np.float32)
+    evidence = PixelEvidence(edges, table, np.zeros(EVIDENCE_ROWS, np.float32))
     pixels = np.array(
         [[128, 128, 128], [128, 137, 128], [118, 128, 128], [123, 133, 128], [0, 255, 0]]
     ).astype(np.float32)

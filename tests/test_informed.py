@@ -88,14 +88,20 @@ def test_a_start_pose_that_is_given_is_followed_with_the_fewest_particles(seed: 
     assert position_error(records[-1], TRUTH[-1], "refined") < 0.02
 
 
-def test_a_wall_without_edges_is_as_good_as_any_other() -> None:
+def test_a_robot_is_found_and_followed_before_a_wall_without_edges() -> None:
+    # A step aside looks like a turn back there, and in so small images shades are faint: what is
+    # not known the covariance says.
     scene = wall_scene(smooth)
     images = [photo(state, paint=smooth) for state in TRUTH]
     for seed in range(3):
         records = drive(localizer(informed_settings(), seed, scene), images=images)
-        for record, truth in zip(records[-3:], TRUTH[-3:], strict=True):
-            assert position_error(record, truth, "mode") < 0.1
-            assert position_error(record, truth, "refined") < 0.05
+        for record, truth in zip(records[2:], TRUTH[2:], strict=True):
+            assert record.status == "tracking"
+            assert position_error(record, truth, "refined") < 0.12
+            assert heading_error(record, truth, "refined") < math.radians(4.0)
+            error = record.estimates["refined"] - truth
+            assert record.refined_covariance is not None
+            assert error @ np.linalg.solve(record.refined_covariance, error) < 25.0
 
 
 # --- carried away ------------------------------------------------------------------------------
@@ -172,6 +178,37 @@ def test_particles_follow_a_robot_whose_wheels_are_worn() -> None:
         assert raw == pytest.approx(0.05, abs=0.01)
     # By odometry alone it would be 5 cm too far.
     assert abs(np.median(too_far)) < 0.02
+
+
+# --- without odometry --------------------------------------------------------------------------
+
+
+def test_without_odometry_a_steady_motion_faster_than_the_random_walk_is_followed() -> None:
+    # 0.3 m from image to image: two standard deviations of the walk, each time in the same way.
+    truth = np.array([facing_wall(-1.5 + 0.3 * i, 1.7) for i in range(10)])
+    chosen = informed_settings(start=tuple(map(float, truth[0])), start_position_sigma=0.05)
+    for seed in range(3):
+        robot = localizer(chosen, seed)
+        for state in truth:
+            record = robot.step(photo(state))
+            assert record.status == "tracking"
+            assert position_error(record, state, "refined") < 0.02
+        # Behind a covered lens it goes on as it did.
+        blind = robot.step(BLACK)
+        moved = blind.estimates["mode"] - record.estimates["refined"]
+        np.testing.assert_allclose(moved[:2], [0.3, 0.0], atol=0.12)
+
+
+def test_a_prediction_that_is_off_does_not_make_an_image_count_less() -> None:
+    """Back and forth: the speed so far is wrong every time, and the image alone is right."""
+    truth = np.array([facing_wall(-0.5 + 0.12 * (i % 2), 1.7) for i in range(8)])
+    chosen = informed_settings(start=tuple(map(float, truth[0])), start_position_sigma=0.05)
+    for seed in range(2):
+        robot = localizer(chosen, seed)
+        for state in truth:
+            record = robot.step(photo(state))
+            assert record.status == "tracking"
+            assert position_error(record, state, "refined") < 0.015
 
 
 # --- repeatable --------------------------------------------------------------------------------

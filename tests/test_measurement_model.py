@@ -203,3 +203,42 @@ def test_what_is_learnt_does_not_depend_on_what_was_asked_before() -> None:
     other.pixels(12)
     np.testing.assert_array_equal(first.pixels(24).table, other.pixels(24).table)
     assert first.pixels(24) is first.pixels(24)
+
+
+# --- how much of it is explained ---------------------------------------------------------------
+
+
+def test_what_is_explained_is_the_evidence_over_that_of_a_right_pose(
+    model: MeasurementModel,
+) -> None:
+    observation = observation_at(TRUTH)
+    own, pixels = observation.in_channels(Channels.CONTRAST), model.pixels(24)
+    strengths = np.abs(own.image.astype(np.float64) - 128.0).sum(axis=2)
+    rows = np.searchsorted(pixels.edges, strengths.reshape(-1), side="right")
+    usual = LIKELIHOODS["evidence"].sharpness * np.mean([pixels.expected[row] for row in rows])
+    found = float(model.evidence(TRUTH[None], observation)[0])
+    assert 0.1 < found / usual < 1.0
+    assert model.explained(TRUTH, observation) == pytest.approx(found / usual, rel=1e-3)
+
+
+def test_less_is_explained_of_other_contents_and_from_elsewhere_and_never_nothing(
+    model: MeasurementModel,
+) -> None:
+    observation = observation_at(TRUTH)
+    hidden = observation.image.copy()
+    hidden[4:14, 6:18] = np.random.default_rng(1).uniform(0.0, 255.0, hidden[4:14, 6:18].shape)
+    whole = model.explained(TRUTH, observation)
+    part = model.explained(TRUTH, changed(observation, hidden))
+    aside = model.explained(TRUTH + np.array([0.1, 0.0, 0.0]), observation)
+    assert 0.1 < part < whole <= 1.0
+    assert aside < 0.7 * whole
+    assert model.explained(WRONG, observation) == 0.1
+    assert model.explained(BACK_TO_THE_WALL, observation) == 0.1
+    # What a mask leaves out need not be explained.
+    hidden[4:14, 6:18] = np.nan
+    masked = Observation(hidden.astype(np.float32), observation.intrinsics)
+    assert model.explained(TRUTH, masked) > 1.3 * part
+
+
+def test_one_of_the_maps_own_photos_is_explained(model: MeasurementModel) -> None:
+    assert model.explained(facing_wall(0.0, 2.0), observation_at(facing_wall(0.0, 2.0))) > 0.9

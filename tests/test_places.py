@@ -56,14 +56,31 @@ def beliefs(draw: st.DrawFn, largest: float) -> tuple[FloatArray, FloatArray, In
     return prior - np.log(np.exp(prior).sum()), evidence, labels
 
 
+def in_places(labels: IntArray) -> IntArray:
+    """Particles in no place are one, where there is no other."""
+    return labels if np.any(labels > 0) else np.ones_like(labels)
+
+
+def logarithm_of_sum(values: FloatArray) -> float:
+    top = float(values.max())
+    return top + math.log(float(np.exp(values - top).sum()))
+
+
+def squeezed(evidence: float) -> float:
+    return math.copysign(COMPRESSED * math.log(1.0 + abs(evidence) / COMPRESSED), evidence)
+
+
 @given(beliefs(0.004))
 def test_small_evidence_gives_the_weights_of_bayes(
     case: tuple[FloatArray, FloatArray, IntArray],
 ) -> None:
     prior, evidence, labels = case
-    log_weights, marginal = weighed(prior, evidence, labels)
-    np.testing.assert_allclose(log_weights, prior + evidence, atol=1e-5)
-    assert marginal == pytest.approx(math.log(np.sum(np.exp(prior + evidence))), abs=1e-5)
+    found = weighed(prior, evidence, labels)
+    np.testing.assert_allclose(found.log_weights, prior + evidence, atol=1e-5)
+    own = in_places(labels) > 0
+    expected = math.log(np.sum(np.exp((prior + evidence)[own])))
+    # Where most of the prior is in no place, that is not small.
+    assert found.marginal == pytest.approx(squeezed(expected), abs=1e-5)
 
 
 @given(beliefs(300.0))
@@ -71,7 +88,7 @@ def test_within_a_place_weights_are_those_of_bayes(
     case: tuple[FloatArray, FloatArray, IntArray],
 ) -> None:
     prior, evidence, labels = case
-    log_weights, _ = weighed(prior, evidence, labels)
+    log_weights = weighed(prior, evidence, labels).log_weights
     for place in np.unique(labels):
         own = labels == place
         expected = (prior + evidence)[own]
@@ -80,37 +97,75 @@ def test_within_a_place_weights_are_those_of_bayes(
         )
 
 
+@given(beliefs(300.0), st.integers(0, 3))
+def test_with_one_place_all_is_bayes_rule_and_only_the_marginal_compressed(
+    case: tuple[FloatArray, FloatArray, IntArray], place: int
+) -> None:
+    prior, evidence, labels = case
+    found = weighed(prior, evidence, np.full_like(labels, place))
+    exact = logarithm_of_sum(prior + evidence)
+    np.testing.assert_allclose(
+        found.log_weights - logarithm_of_sum(found.log_weights), prior + evidence - exact, atol=1e-6
+    )
+    assert found.marginal == pytest.approx(squeezed(exact), abs=1e-6)
+
+
 @given(beliefs(300.0))
-def test_a_place_gains_its_mean_evidence_compressed(
+def test_a_place_loses_what_its_mean_evidence_loses_by_being_compressed(
     case: tuple[FloatArray, FloatArray, IntArray],
 ) -> None:
     prior, evidence, labels = case
-    log_weights, marginal = weighed(prior, evidence, labels)
-    total = 0.0
-    for place in np.unique(labels):
-        own = labels == place
-        weights = np.exp(prior[own])
-        top = evidence[own].max()
-        mean = top + math.log((weights * np.exp(evidence[own] - top)).sum() / weights.sum())
-        kept = math.copysign(COMPRESSED * math.log(1.0 + abs(mean) / COMPRESSED), mean)
-        found = math.log(np.exp(log_weights[own]).sum()) - math.log(weights.sum())
-        assert found == pytest.approx(kept, abs=1e-6)
-        total += weights.sum() * math.exp(kept)
-    assert marginal == pytest.approx(math.log(total), abs=1e-6)
+    found = weighed(prior, evidence, labels)
+    exact = prior + evidence
+    kept, loss = {}, {}
+    for place in np.unique(in_places(labels)):
+        own = in_places(labels) == place
+        posterior = np.exp(exact[own] - logarithm_of_sum(exact[own]))
+        mean = float(np.sum(posterior * evidence[own]))
+        kept[place], loss[place] = squeezed(mean), mean - squeezed(mean)
+    if 0 in kept:
+        # On the slopes of the best place, or where nothing is seen: worth as much less as that one.
+        del kept[0]
+        loss[0] = loss[max(kept, key=lambda place: kept[place])]
+    for place, of_place in loss.items():
+        own = in_places(labels) == place
+        np.testing.assert_allclose(exact[own] - found.log_weights[own], of_place, atol=1e-6)
+    assert found.largest == pytest.approx(max(kept.values()), abs=1e-6)
+    total = logarithm_of_sum(exact[in_places(labels) > 0])
+    assert found.marginal == pytest.approx(squeezed(total), abs=1e-6)
 
 
-@given(beliefs(300.0), st.permutations(range(4)))
+@given(beliefs(300.0), st.permutations(range(1, 4)))
 def test_names_of_places_and_the_order_of_particles_do_not_matter(
     case: tuple[FloatArray, FloatArray, IntArray], names: list[int]
 ) -> None:
     prior, evidence, labels = case
-    log_weights, marginal = weighed(prior, evidence, labels)
-    other, same = weighed(prior, evidence, np.array(names)[labels])
-    np.testing.assert_allclose(other, log_weights, atol=1e-9)
-    backwards, again = weighed(prior[::-1], evidence[::-1], labels[::-1])
-    np.testing.assert_allclose(backwards[::-1], log_weights, atol=1e-9)
-    assert same == pytest.approx(marginal, abs=1e-9)
-    assert again == pytest.approx(marginal, abs=1e-9)
+    found = weighed(prior, evidence, labels)
+    named = weighed(prior, evidence, np.array([0, *names])[labels])
+    backwards = weighed(prior[::-1], evidence[::-1], labels[::-1])
+    np.testing.assert_allclose(named.log_weights, found.log_weights, atol=1e-9)
+    np.testing.assert_allclose(backwards.log_weights[::-1], found.log_weights, atol=1e-9)
+    for other in (named, backwards):
+        assert other.marginal == pytest.approx(found.marginal, abs=1e-9)
+        assert other.largest == pytest.approx(found.largest, abs=1e-9)
+
+
+@given(beliefs(300.0), st.data())
+def test_several_particles_at_one_state_count_as_one_with_all_their_weight(
+    case: tuple[FloatArray, FloatArray, IntArray], data: st.DataObject
+) -> None:
+    prior, evidence, labels = case
+    times = data.draw(arrays(np.int64, len(prior), elements=st.integers(1, 5)))
+    found = weighed(prior, evidence, labels)
+    split = weighed(
+        np.repeat(prior - np.log(times), times),
+        np.repeat(evidence, times),
+        np.repeat(labels, times),
+    )
+    together = np.repeat(found.log_weights - np.log(times), times)
+    np.testing.assert_allclose(split.log_weights, together, atol=1e-6)
+    assert split.marginal == pytest.approx(found.marginal, abs=1e-6)
+    assert split.largest == pytest.approx(found.largest, abs=1e-6)
 
 
 @pytest.mark.parametrize("evidence", [10.0, 60.0, 400.0])
@@ -120,13 +175,14 @@ def test_one_image_changes_the_odds_of_places_no_more_than_compressed_and_severa
     labels = np.array([1, 1, 2, 2, 2])
     prior = np.log(np.array([0.2, 0.3, 0.1, 0.2, 0.2]))
     gains = np.where(labels == 1, evidence, 0.0)
-    log_weights, _ = weighed(prior, gains, labels)
+    log_weights = weighed(prior, gains, labels).log_weights
     shares = shares_of(log_weights, labels)
     power = COMPRESSED * math.log(1.0 + evidence / COMPRESSED)
     assert math.log(shares[1] / shares[2]) == pytest.approx(power, rel=1e-9)
     # The same again and again adds up.
     for _ in range(4):
-        log_weights, _ = weighed(log_weights - np.log(np.exp(log_weights).sum()), gains, labels)
+        before = log_weights - np.log(np.exp(log_weights).sum())
+        log_weights = weighed(before, gains, labels).log_weights
     shares = shares_of(log_weights, labels)
     assert math.log(shares[1] / shares[2]) == pytest.approx(5.0 * power, rel=1e-6)
 
@@ -143,13 +199,13 @@ def test_the_marginal_is_the_integral_over_a_grid() -> None:
     exact = math.log(np.trapezoid(density * np.exp(evidence(grid)), grid))
     x = sigma * np.random.default_rng(0).standard_normal(200_000)
     prior, labels = np.full(len(x), -math.log(len(x))), np.zeros(len(x), dtype=np.int64)
-    _, marginal = weighed(prior, evidence(x), labels)
+    marginal = weighed(prior, evidence(x), labels).marginal
     assert marginal == pytest.approx(COMPRESSED * math.log(1.0 + exact / COMPRESSED), abs=0.01)
     # Drawn from elsewhere and weighted for it, particles say the same.
     y = np.random.default_rng(1).uniform(-1.5, 1.5, 200_000)
     log_density = -0.5 * (y / sigma) ** 2 - math.log(sigma * math.sqrt(2.0 * math.pi))
     drawn = log_density + math.log(3.0) - math.log(len(y))
-    _, other = weighed(drawn, evidence(y), labels)
+    other = weighed(drawn, evidence(y), labels).marginal
     assert other == pytest.approx(marginal, abs=0.02)
 
 
@@ -157,12 +213,14 @@ def test_places_that_are_impossible_have_no_weight_and_no_say() -> None:
     labels = np.array([0, 1, 1, 2])
     prior = np.log(np.array([0.25, 0.25, 0.25, 0.25]))
     evidence = np.array([-np.inf, 1.0, -np.inf, 0.5])
-    log_weights, marginal = weighed(prior, evidence, labels)
-    np.testing.assert_array_equal(np.isneginf(log_weights), [True, False, True, False])
-    assert math.isfinite(marginal)
-    none, nothing = weighed(prior, np.full(4, -np.inf), labels)
-    assert np.isneginf(none).all()
-    assert nothing == -math.inf
+    found = weighed(prior, evidence, labels)
+    np.testing.assert_array_equal(np.isneginf(found.log_weights), [True, False, True, False])
+    # What is impossible has its share of the prior all the same.
+    assert found.marginal == pytest.approx(squeezed(math.log(0.25 * math.e + 0.25 * math.e**0.5)))
+    assert found.largest == pytest.approx(squeezed(1.0))
+    none = weighed(prior, np.full(4, -np.inf), labels)
+    assert np.isneginf(none.log_weights).all()
+    assert none.marginal == none.largest == -math.inf
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])

@@ -107,4 +107,4 @@ def test_info_says_totals_shares_and_what_a_view_takes(tmp_path: Path) -> None:
     total = sum(budget.file.values())
     assert f"photos {budget.file['photos'] / total:.0%}" in rows["file"]
     assert f"{total / 1e6:.1f} MB" in rows["file"]
-    assert "in memory, 160 px" in rows
+    assert "in memory, 320 px" in rows

@@ -68,7 +68,9 @@ class Told(MeasurementModel):
         # Whatever is seen, it is of the map.
         return np.full(len(states), 20.0)
 
-    def aligned(self, state: FloatArray, observations: Any, widths: Any) -> Refined:
+    def aligned(
+        self, state: FloatArray, observations: Any, widths: Any, prior: Any = None
+    ) -> Refined:
         # Half the second derivative of the cost in squared grey levels, as alignment states it.
         curvature = np.diag(MEASURED**-2.0) * 255.0**2 / (2.0 * SHARPNESS)
         return Refined(self.peak, np.diag(MEASURED**2), curvature, 1.0, True)

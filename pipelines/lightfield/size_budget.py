@@ -12,7 +12,7 @@ from pipelines.lightfield.views import SMALLEST_LEVEL_SIDE, texels_beyond
 
 PARTS = ("photos", "depth_maps", "rest")
 # The longer side of views to which ``lfnav localize`` shrinks the photos by default.
-LOCALIZE_SIDE = 160
+LOCALIZE_SIDE = 320
 RESOLUTIONS = {"full_size": None, "localize": LOCALIZE_SIDE}
 TEXEL_BYTES, DEPTH_BYTES = 4, 4
 

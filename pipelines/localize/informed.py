@@ -2,7 +2,7 @@
 
 One frame: odometry predicts where the body may be (``prediction``). Hypotheses that may explain the
 image are aligned with it: the peaks of the last belief, and, while nobody knows where the body is
-or the image no longer fits, places that look like it (``retrieval``). Particles are drawn from
+or the image no longer fits, places that look like it (``search``). Particles are drawn from
 both, and weighted by likelihood times prior over the density that they were drawn from, which
 leaves the posterior as it is in the paper, wherever particles were put. Between places as wholes
 one image decides only so much (``places``), and beside all of them stands the hypothesis that the
@@ -15,43 +15,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipelines.artifacts.array_types import FloatArray
-from pipelines.geometry.camera import Intrinsics
 from pipelines.localize.adaptation import uncalibrated
 from pipelines.localize.belief import Belief, Region, equal_log_weights, normalise_log_weights
 from pipelines.localize.camera_faults import CameraFaults
 from pipelines.localize.estimate import find_modes
 from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.motion import checked_increment
-from pipelines.localize.observation import Observation, Observations
+from pipelines.localize.observation import Observations
 from pipelines.localize.outside import Presence
 from pipelines.localize.places import labelled, log_priors, places_of, weighed
 from pipelines.localize.population import next_count
 from pipelines.localize.prediction import Prediction
 from pipelines.localize.proposal import Proposal
 from pipelines.localize.resampling import resample
-from pipelines.localize.retrieval import (
-    RetrievalIndex,
-    best_distinct,
-    build_index,
-    spread_states,
-    states_around_views,
-)
+from pipelines.localize.search import GLANCE, THOROUGH, Search
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import StateSpace
-from pipelines.localize.strategies import Update
+from pipelines.localize.strategies import PROMISING, Update
 
 # Hypotheses that are aligned in a search, and peaks that are followed.
 SEARCHED, FOLLOWED = 20, 6
-# So many of the places that look like the image are looked at once more in larger images, with so
-# many states around each: standard deviations in metres and radians.
-RETRIEVED, AROUND = 300, 8
-AROUND_POSITION, AROUND_ANGLE = 0.2, 0.08
-# A short look: at a picture the other way round, or where the motion is unknown.
-GLANCED, GLANCED_AROUND = 100, 3
-# A start pose that is so uncertain, metres or radians, is searched around as a whole map is.
-START_POSITION, START_ANGLE = 0.6, 0.5
-# Around a start pose so many states are looked at.
-START_STATES = 3_000
 # A peak that is followed holds at least this share of the weight.
 FOLLOWED_SHARE = 0.01
 # Share of the particles that are drawn from the proposal.
@@ -65,8 +48,6 @@ LARGEST_PRIOR = 2_000
 CARRIED, MOST_CARRIED = 1e-3, 0.5
 # Below this probability of seeing the map at all, the whole map is searched.
 PRESENT = 0.8
-# An image that fits some place so well may show the map, although one alone does not prove it.
-PROMISING = 3.0
 # While several peaks are left, the body is with this probability where none of them is.
 UNDECIDED_SHARE = 0.05
 UNDECIDED_MODE_SHARE = 0.95
@@ -118,10 +99,9 @@ class Informed:
     ) -> None:
         self._model = model
         self._region = region
-        self._views = world_from_camera
         self._settings = settings
         self._rng = rng
-        self._index: RetrievalIndex | None = None
+        self._search = Search(model, region, world_from_camera, settings, rng)
         self._belief: Belief | None = None
         self._presence = Presence()
         self._faults = CameraFaults()
@@ -405,79 +385,18 @@ class Informed:
         self, prediction: Prediction, observations: Observations, count: int
     ) -> FloatArray:
         """States ``(count, D)`` from which the scene looks like the image."""
-        settings, space = self._settings, self._space
-        coarse = observations.by_width[settings.coarse_width]
-        fine = observations.by_width[settings.fine_width]
-        index = self._index_of(prediction, coarse.intrinsics)
-        scale = self._hypothesis_scale(prediction)
-        is_search = self._searches(prediction)
-        effort = (RETRIEVED, AROUND) if is_search else (GLANCED, GLANCED_AROUND)
-        states, evidence = self._retrieved(index, coarse, fine, scale, *effort)
+        search, is_search = self._search, self._searches(prediction)
+        if self._belief is None and prediction.anywhere_share == 0.0:
+            gallery = search.around(prediction, observations)
+        else:
+            gallery = search.everywhere(observations)
+        effort = THOROUGH if is_search else GLANCE
+        states, evidence = search.found(gallery, observations, effort)
         if is_search and self._settings.start is None:
             self._faults = self._faults.updated(
-                lambda image: self._most_evidence(index, image, scale), observations
+                lambda image: search.most_evidence(gallery, image), observations
             )
-        return states[best_distinct(space, states, evidence, count, scale)]
-
-    def _most_evidence(
-        self, index: RetrievalIndex, observations: Observations, scale: float
-    ) -> float:
-        """The most that an image says for any state, by a short look."""
-        coarse = observations.by_width[self._settings.coarse_width]
-        fine = observations.by_width[self._settings.fine_width]
-        _, evidence = self._retrieved(index, coarse, fine, scale, GLANCED, GLANCED_AROUND)
-        return float(np.max(evidence))
-
-    def _retrieved(
-        self,
-        index: RetrievalIndex,
-        coarse: Observation,
-        fine: Observation,
-        scale: float,
-        most: int,
-        copies: int,
-    ) -> tuple[FloatArray, FloatArray]:
-        """States ``(K, D)`` that look most like an image, others around them, their evidence."""
-        space = self._space
-        best = np.argsort(-index.scores(coarse.in_channels(self._model.channels)), kind="stable")
-        found = index.states[best[:most]]
-        sigma = _spread(space, scale * AROUND_POSITION, scale * AROUND_ANGLE)
-        around = np.repeat(found, copies, axis=0)
-        around = space.moved(around, sigma * self._rng.standard_normal(around.shape))
-        states = np.concatenate([found, around])
-        return states, self._model.evidence(states, fine, self._model.likelihood.one_pixel_in)
-
-    def _index_of(self, prediction: Prediction, intrinsics: Intrinsics) -> RetrievalIndex:
-        """Small views all over the region, or around a start pose."""
-        model, is_start = self._model, self._belief is None and prediction.anywhere_share == 0.0
-        if self._index is not None and not is_start:
-            return self._index
-        states = self._places()
-        if is_start:
-            around = prediction.sample(START_STATES, self._settings.resampling, self._rng)
-            log_density = prediction.log_density(np.concatenate([states, around]))
-            likely = log_density[: len(states)] >= np.quantile(log_density[len(states) :], 0.01)
-            states = np.concatenate([states[likely], around])
-        mount = model.body_from_camera
-        index = build_index(model.renderer, self._space, mount, intrinsics, states)
-        if not is_start:
-            self._index = index
-        return index
-
-    def _hypothesis_scale(self, prediction: Prediction) -> float:
-        """How near to each other hypotheses are looked for, as a share of the usual."""
-        if self._belief is not None or prediction.anywhere_share > 0.0:
-            return 1.0
-        position, angle = prediction.position_sigma, prediction.angle_sigma
-        return min(1.0, max(position / START_POSITION, angle / START_ANGLE))
-
-    def _places(self) -> FloatArray:
-        """States ``(N, D)`` at which thumbnails are rendered."""
-        count = self._settings.search_particles
-        if self._space.angles == 1:
-            return spread_states(self._space, self._region, count)
-        mount = self._model.body_from_camera
-        return states_around_views(self._space, self._views, mount, count, self._rng)
+        return search.distinct(gallery, states, evidence, count)
 
 
 def _spread(space: StateSpace, position: float, angle: float) -> FloatArray:

@@ -229,13 +229,14 @@ class Localizer:
         ):
             track = None
         start = main.state if track is None else track.state
-        # Where light or contents have changed, errors are larger than an image's own tiles tell.
-        fine = observations.by_width[self.settings.fine_width]
-        usual = MODEL_ERROR**2
-        doubt = usual / self._model.explained(start, fine) ** 2
         widths = [width for width in self.settings.widths if width >= self.settings.fine_width]
         aligned = self._model.aligned(start, observations, widths)
         is_usable = math.isfinite(aligned.error) and bool(np.all(np.isfinite(aligned.covariance)))
+        # Where light or contents have changed, errors are larger than an image's own tiles tell.
+        # Where the image was aligned: at the prediction it would be motion that is not explained.
+        fine = observations.by_width[self.settings.fine_width]
+        usual = MODEL_ERROR**2
+        doubt = usual / self._model.explained(aligned.state, fine) ** 2
         if track is None:
             # Another place is not a finer answer to the same question.
             if not (is_usable and self._is_same_place(aligned.state, main.state)):

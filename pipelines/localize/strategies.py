@@ -32,10 +32,14 @@ from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.motion import checked_increment, predict
 from pipelines.localize.observation import Observations
 from pipelines.localize.outside import Presence
+from pipelines.localize.places import compressed
 from pipelines.localize.population import next_count, roughened
 from pipelines.localize.resampling import resample
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import StateSpace
+
+# An image that fits some place so well may show the map, although one alone does not prove it.
+PROMISING = 3.0
 
 
 @dataclass(frozen=True)
@@ -148,12 +152,16 @@ class Condensation:
             self._presence = self._presence.predicted()
         self._is_first = False
         self._belief = self._weighted(states, log_weights, observations)
+        is_promising = False
         if observations.is_informative:
             fine = observations.by_width[self._settings.fine_width]
             evidence = self._model.marginal_evidence(self._belief, log_weights, fine)
             self._presence = self._presence.updated(evidence)
+            heaviest = self._belief.states[[int(np.argmax(self._belief.log_weights))]]
+            largest = float(compressed(self._model.evidence(heaviest, fine)[0]))
+            is_promising = max(evidence, largest) >= PROMISING
         sigmas = self._settings.motion.standard_deviations(self._model.space, motion)
-        return Update(self._belief, self._presence.inside, motion, *sigmas)
+        return Update(self._belief, self._presence.inside, motion, *sigmas, is_promising)
 
     @property
     def notes(self) -> tuple[str, ...]:
