@@ -22,7 +22,7 @@ from pipelines.lightfield.comparison import (
 from pipelines.lightfield.compiled import compiled
 from pipelines.lightfield.proxy import Quality
 from pipelines.lightfield.reference import render_reference
-from pipelines.lightfield.renderer import Renderer
+from pipelines.lightfield.renderer import Renderer, evidence_table
 from tests.lightfield_samples import WALL, looking, noise_views, pinhole
 from tests.test_renderers_agree import (
     ARRANGEMENTS,
@@ -85,7 +85,7 @@ def compared(
     """The compiled comparison by itself."""
     target = prepared(query)
     target[..., 3] *= 1.0 + evidence.rows(target[..., :3])
-    table = evidence.table.reshape(-1)
+    table = evidence_table(Cost.EVIDENCE, evidence)
     return compiled_compare(int(Cost.EVIDENCE), packed(image, covered), target, False, table)
 
 

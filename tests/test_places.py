@@ -10,8 +10,18 @@ from hypothesis.extra.numpy import arrays
 
 from pipelines.artifacts.array_types import FloatArray, IntArray
 from pipelines.artifacts.errors import StageError
-from pipelines.localize.places import COMPRESSED, compressed, labelled, weighed
-from pipelines.localize.state_space import PLANAR, SPATIAL
+from pipelines.localize.places import (
+    COMPRESSED,
+    PLACE_ANGLE,
+    PLACE_POSITION,
+    Weighed,
+    compressed,
+    labelled,
+    log_priors,
+    places_of,
+    weighed,
+)
+from pipelines.localize.state_space import PLANAR, SPATIAL, StateSpace
 
 evidences = st.floats(-400.0, 400.0)
 
@@ -20,6 +30,23 @@ def shares_of(log_weights: FloatArray, labels: IntArray) -> FloatArray:
     """The places' shares of the weight, by label."""
     weights = np.exp(log_weights - log_weights.max())
     return np.asarray(np.bincount(labels, weights) / weights.sum())
+
+
+def prior_shares(prior: FloatArray, labels: IntArray) -> FloatArray:
+    """Logarithms ``(4,)`` of what the particles hold of each place before the image."""
+    result = np.zeros(4)
+    for place in np.unique(labels[labels > 0]):
+        result[place] = logarithm_of_sum(prior[labels == place])
+    return result
+
+
+def weigh(prior: FloatArray, evidence: FloatArray, labels: IntArray) -> Weighed:
+    """With places whose prior is what the particles hold of them."""
+    return weighed(prior, evidence, labels, prior_shares(prior, labels))
+
+
+def labels_of(space: StateSpace, states: FloatArray, hypotheses: FloatArray) -> IntArray:
+    return labelled(space, states, hypotheses, places_of(space, hypotheses))
 
 
 # --- compression -------------------------------------------------------------------------------
@@ -75,7 +102,7 @@ def test_small_evidence_gives_the_weights_of_bayes(
     case: tuple[FloatArray, FloatArray, IntArray],
 ) -> None:
     prior, evidence, labels = case
-    found = weighed(prior, evidence, labels)
+    found = weigh(prior, evidence, labels)
     np.testing.assert_allclose(found.log_weights, prior + evidence, atol=1e-5)
     own = in_places(labels) > 0
     expected = math.log(np.sum(np.exp((prior + evidence)[own])))
@@ -88,7 +115,7 @@ def test_within_a_place_weights_are_those_of_bayes(
     case: tuple[FloatArray, FloatArray, IntArray],
 ) -> None:
     prior, evidence, labels = case
-    log_weights = weighed(prior, evidence, labels).log_weights
+    log_weights = weigh(prior, evidence, labels).log_weights
     for place in np.unique(labels):
         own = labels == place
         expected = (prior + evidence)[own]
@@ -102,7 +129,7 @@ def test_with_one_place_all_is_bayes_rule_and_only_the_marginal_compressed(
     case: tuple[FloatArray, FloatArray, IntArray], place: int
 ) -> None:
     prior, evidence, labels = case
-    found = weighed(prior, evidence, np.full_like(labels, place))
+    found = weigh(prior, evidence, np.full_like(labels, place))
     exact = logarithm_of_sum(prior + evidence)
     np.testing.assert_allclose(
         found.log_weights - logarithm_of_sum(found.log_weights), prior + evidence - exact, atol=1e-6
@@ -111,17 +138,17 @@ def test_with_one_place_all_is_bayes_rule_and_only_the_marginal_compressed(
 
 
 @given(beliefs(300.0))
-def test_a_place_loses_what_its_mean_evidence_loses_by_being_compressed(
+def test_a_place_loses_what_its_evidence_loses_by_being_compressed(
     case: tuple[FloatArray, FloatArray, IntArray],
 ) -> None:
     prior, evidence, labels = case
-    found = weighed(prior, evidence, labels)
-    exact = prior + evidence
+    found = weigh(prior, evidence, labels)
+    exact, shares = prior + evidence, prior_shares(prior, labels)
     kept, loss = {}, {}
     for place in np.unique(in_places(labels)):
         own = in_places(labels) == place
-        posterior = np.exp(exact[own] - logarithm_of_sum(exact[own]))
-        mean = float(np.sum(posterior * evidence[own]))
+        before = shares[place] if np.any(labels > 0) else 0.0
+        mean = logarithm_of_sum(exact[own]) - before
         kept[place], loss[place] = squeezed(mean), mean - squeezed(mean)
     if 0 in kept:
         # On the slopes of the best place, or where nothing is seen: worth as much less as that one.
@@ -140,9 +167,9 @@ def test_names_of_places_and_the_order_of_particles_do_not_matter(
     case: tuple[FloatArray, FloatArray, IntArray], names: list[int]
 ) -> None:
     prior, evidence, labels = case
-    found = weighed(prior, evidence, labels)
-    named = weighed(prior, evidence, np.array([0, *names])[labels])
-    backwards = weighed(prior[::-1], evidence[::-1], labels[::-1])
+    found = weigh(prior, evidence, labels)
+    named = weigh(prior, evidence, np.array([0, *names])[labels])
+    backwards = weigh(prior[::-1], evidence[::-1], labels[::-1])
     np.testing.assert_allclose(named.log_weights, found.log_weights, atol=1e-9)
     np.testing.assert_allclose(backwards.log_weights[::-1], found.log_weights, atol=1e-9)
     for other in (named, backwards):
@@ -156,8 +183,8 @@ def test_several_particles_at_one_state_count_as_one_with_all_their_weight(
 ) -> None:
     prior, evidence, labels = case
     times = data.draw(arrays(np.int64, len(prior), elements=st.integers(1, 5)))
-    found = weighed(prior, evidence, labels)
-    split = weighed(
+    found = weigh(prior, evidence, labels)
+    split = weigh(
         np.repeat(prior - np.log(times), times),
         np.repeat(evidence, times),
         np.repeat(labels, times),
@@ -175,14 +202,14 @@ def test_one_image_changes_the_odds_of_places_no_more_than_compressed_and_severa
     labels = np.array([1, 1, 2, 2, 2])
     prior = np.log(np.array([0.2, 0.3, 0.1, 0.2, 0.2]))
     gains = np.where(labels == 1, evidence, 0.0)
-    log_weights = weighed(prior, gains, labels).log_weights
+    log_weights = weigh(prior, gains, labels).log_weights
     shares = shares_of(log_weights, labels)
     power = COMPRESSED * math.log(1.0 + evidence / COMPRESSED)
     assert math.log(shares[1] / shares[2]) == pytest.approx(power, rel=1e-9)
     # The same again and again adds up.
     for _ in range(4):
         before = log_weights - np.log(np.exp(log_weights).sum())
-        log_weights = weighed(before, gains, labels).log_weights
+        log_weights = weigh(before, gains, labels).log_weights
     shares = shares_of(log_weights, labels)
     assert math.log(shares[1] / shares[2]) == pytest.approx(5.0 * power, rel=1e-6)
 
@@ -199,13 +226,13 @@ def test_the_marginal_is_the_integral_over_a_grid() -> None:
     exact = math.log(np.trapezoid(density * np.exp(evidence(grid)), grid))
     x = sigma * np.random.default_rng(0).standard_normal(200_000)
     prior, labels = np.full(len(x), -math.log(len(x))), np.zeros(len(x), dtype=np.int64)
-    marginal = weighed(prior, evidence(x), labels).marginal
+    marginal = weigh(prior, evidence(x), labels).marginal
     assert marginal == pytest.approx(COMPRESSED * math.log(1.0 + exact / COMPRESSED), abs=0.01)
     # Drawn from elsewhere and weighted for it, particles say the same.
     y = np.random.default_rng(1).uniform(-1.5, 1.5, 200_000)
     log_density = -0.5 * (y / sigma) ** 2 - math.log(sigma * math.sqrt(2.0 * math.pi))
     drawn = log_density + math.log(3.0) - math.log(len(y))
-    other = weighed(drawn, evidence(y), labels).marginal
+    other = weigh(drawn, evidence(y), labels).marginal
     assert other == pytest.approx(marginal, abs=0.02)
 
 
@@ -213,21 +240,43 @@ def test_places_that_are_impossible_have_no_weight_and_no_say() -> None:
     labels = np.array([0, 1, 1, 2])
     prior = np.log(np.array([0.25, 0.25, 0.25, 0.25]))
     evidence = np.array([-np.inf, 1.0, -np.inf, 0.5])
-    found = weighed(prior, evidence, labels)
+    found = weigh(prior, evidence, labels)
     np.testing.assert_array_equal(np.isneginf(found.log_weights), [True, False, True, False])
     # What is impossible has its share of the prior all the same.
     assert found.marginal == pytest.approx(squeezed(math.log(0.25 * math.e + 0.25 * math.e**0.5)))
-    assert found.largest == pytest.approx(squeezed(1.0))
-    none = weighed(prior, np.full(4, -np.inf), labels)
+    assert found.largest == pytest.approx(squeezed(0.5))
+    none = weigh(prior, np.full(4, -np.inf), labels)
     assert np.isneginf(none.log_weights).all()
     assert none.marginal == none.largest == -math.inf
+
+
+def test_a_wide_prior_costs_a_place_its_volume_and_is_not_compressed() -> None:
+    """The same evidence for two places, one a hundred times likelier before the image."""
+    labels = np.array([1, 2])
+    prior = np.log(np.array([0.5, 0.005]))
+    found = weigh(prior, np.full(2, 40.0), labels).log_weights
+    assert found[0] - found[1] == pytest.approx(math.log(100.0))
+
+
+def test_a_places_prior_is_its_density_times_its_volume_at_most_one() -> None:
+    hypotheses = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [3.0, 0.0, 0.0]])
+    places = places_of(PLANAR, hypotheses)
+    densities = np.log(np.array([0.002, 0.004, 50.0]))
+    found = log_priors(PLANAR, densities, places)
+    volume = math.pi * PLACE_POSITION**2 * 2.0 * PLACE_ANGLE
+    assert found[0] == 0.0
+    assert found[places[0]] == pytest.approx(math.log(0.004 * volume))
+    assert found[places[2]] == 0.0
+    spatial = log_priors(SPATIAL, np.log(np.array([0.01])), np.array([1]))
+    balls = (4.0 / 3.0 * math.pi) ** 2 * PLACE_POSITION**3 * PLACE_ANGLE**3
+    assert spatial[1] == pytest.approx(math.log(0.01 * balls))
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_broken_comparison_is_an_error_and_no_place_without_weight(value: float) -> None:
     evidence = np.array([0.0, value, 1.0, 1.0])
     with pytest.raises(StageError, match="1 of 4 log-likelihoods"):
-        weighed(np.full(4, -math.log(4.0)), evidence, np.array([0, 0, 1, 1]))
+        weigh(np.full(4, -math.log(4.0)), evidence, np.array([0, 0, 1, 1]))
 
 
 # --- labels ------------------------------------------------------------------------------------
@@ -245,7 +294,7 @@ def test_states_belong_to_the_hypotheses_near_them() -> None:
             [9.0, 9.0, 0.0],
         ]
     )
-    labels = labelled(PLANAR, states, hypotheses)
+    labels = labels_of(PLANAR, states, hypotheses)
     # The first two hypotheses are one place; what is near none is a place of its own.
     assert labels[0] == labels[1] != 0
     assert len({int(labels[0]), int(labels[2]), int(labels[3]), 0}) == 4
@@ -255,12 +304,12 @@ def test_states_belong_to_the_hypotheses_near_them() -> None:
 def test_hypotheses_chain_and_headings_go_round() -> None:
     chain = np.array([[0.2 * i, 0.0, math.pi - 0.02] for i in range(9)])
     states = np.array([[0.0, 0.0, -math.pi + 0.05], [1.6, 0.0, math.pi - 0.05]])
-    labels = labelled(PLANAR, states, chain)
+    labels = labels_of(PLANAR, states, chain)
     assert labels[0] == labels[1] != 0
 
 
 def test_without_hypotheses_all_states_are_one_place() -> None:
-    labels = labelled(PLANAR, np.zeros((5, 3)), np.empty((0, 3)))
+    labels = labels_of(PLANAR, np.zeros((5, 3)), np.empty((0, 3)))
     np.testing.assert_array_equal(labels, 0)
 
 
@@ -270,7 +319,7 @@ def test_labels_in_six_dimensions() -> None:
         np.repeat(hypotheses, 20, axis=0),
         0.02 * np.random.default_rng(3).standard_normal((40, 6)),
     )
-    labels = labelled(SPATIAL, states, hypotheses)
+    labels = labels_of(SPATIAL, states, hypotheses)
     assert len(set(labels[:20])) == len(set(labels[20:])) == 1
     assert labels[0] != labels[20]
     assert 0 not in labels

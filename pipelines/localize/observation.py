@@ -38,7 +38,7 @@ SMALLEST_FIXED_SHARE = 0.05
 # A pixel of which a mask leaves out more than this share is left out.
 LARGEST_MASKED_SHARE = 0.01
 # Images are the same when less than this share of the colours differs by more than so many levels.
-SAME_LEVELS, SAME_SHARE, SAME_STRIDE = 2, 0.005, 4
+SAME_LEVELS, SAME_SHARE, SAME_WIDTH = 2, 0.005, 160
 # One pixel in so many -> how far a row's pixels stand aside from those of the row above.
 LATTICES = MappingProxyType({1: 0, 2: 1, 3: 1, 5: 2})
 # Fewer pixels than this are all compared, or more of them.
@@ -222,8 +222,9 @@ def is_same(image: ImageArray, before: ImageArray) -> bool:
     """Whether two images as recorded are one: a sensor's noise alone would tell two apart."""
     if image.shape != before.shape:
         return False
-    # Every few pixels of every few rows tell as much as all.
-    part = np.s_[::SAME_STRIDE, ::SAME_STRIDE]
+    # Every few pixels of every few rows of a large image tell as much as all.
+    stride = max(1, image.shape[1] // SAME_WIDTH)
+    part = np.s_[::stride, ::stride]
     difference = cv2.absdiff(np.ascontiguousarray(image[part]), np.ascontiguousarray(before[part]))
     return int(np.count_nonzero(difference > SAME_LEVELS)) < SAME_SHARE * difference.size
 
