@@ -123,3 +123,8 @@ def test_exact_odometry_is_still_a_density() -> None:
     states = exact.sample(50, "systematic", np.random.default_rng(8))
     assert np.all(np.isfinite(exact.log_density(states)))
     assert np.all(np.isin(states[:, 0], CENTRES[:, 0]))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_no_states_have_no_densities(share: float) -> None:
+    assert prediction(share).log_density(np.empty((0, 3))).shape == (0,)

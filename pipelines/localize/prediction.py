@@ -62,6 +62,8 @@ class Prediction:
 
     def log_density(self, states: FloatArray) -> FloatArray:
         """Logarithm of the density at states ``(M, D)``, a metre^P and radian^A."""
+        if len(states) == 0:
+            return np.zeros(0)
         with np.errstate(divide="ignore"):
             inside = np.where(self.region.contains(states), 0.0, -np.inf)
             anywhere = inside + math.log(self.anywhere_share or 1e-300)
