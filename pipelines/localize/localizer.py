@@ -98,6 +98,7 @@ class Localizer:
         views = scene.world_from_camera
         self._strategy = _strategy(self._model, region, views, settings, rng)
         self._track: Track | None = None
+        self._is_given = settings.start is not None
         self._has_been_found = False
         self._likely_images = 0
         sigmas = np.array(
@@ -205,8 +206,11 @@ class Localizer:
         )
 
     def _is_confirmed(self, main: Mode, observations: Observations) -> bool:
-        """Whether more than one image speaks for a place, or one that leaves little unexplained."""
-        if self._has_been_found or self._likely_images >= CONFIRMING_IMAGES:
+        """Whether more than one image alone speaks for a place, which may have aliases in the map.
+
+        A start pose speaks too; so do several images, and one that leaves little unexplained.
+        """
+        if self._is_given or self._has_been_found or self._likely_images >= CONFIRMING_IMAGES:
             return True
         fine = observations.by_width[self.settings.fine_width]
         return self._model.explained(main.state, fine) >= CONFIRMING_SHARE
