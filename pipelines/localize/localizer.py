@@ -41,7 +41,7 @@ from pipelines.localize.track import MOST_REJECTED, Track
 TRACKING_PROBABILITY = 0.9
 # A body that has not been found yet is followed after so many such images running, or one of which
 # this share is explained (``MeasurementModel.explained``).
-CONFIRMING_IMAGES, CONFIRMING_SHARE = 3, 0.5
+CONFIRMING_IMAGES, CONFIRMING_SHARE = 2, 0.4
 # It is lost while the image more probably does not show the map at all.
 LOST_PROBABILITY = 0.5
 TRACKING_POSITION, TRACKING_HEADING = 0.35, math.radians(10.0)
@@ -98,7 +98,6 @@ class Localizer:
         views = scene.world_from_camera
         self._strategy = _strategy(self._model, region, views, settings, rng)
         self._track: Track | None = None
-        self._is_given = settings.start is not None
         self._has_been_found = False
         self._likely_images = 0
         sigmas = np.array(
@@ -206,11 +205,11 @@ class Localizer:
         )
 
     def _is_confirmed(self, main: Mode, observations: Observations) -> bool:
-        """Whether more than one image alone speaks for a place, which may have aliases in the map.
+        """Whether more than one image speaks for a place, or one that leaves little unexplained.
 
-        A start pose speaks too; so do several images, and one that leaves little unexplained.
+        A place may have aliases all over the map, which fit one image tolerably.
         """
-        if self._is_given or self._has_been_found or self._likely_images >= CONFIRMING_IMAGES:
+        if self._has_been_found or self._likely_images >= CONFIRMING_IMAGES:
             return True
         fine = observations.by_width[self.settings.fine_width]
         return self._model.explained(main.state, fine) >= CONFIRMING_SHARE
