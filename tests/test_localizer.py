@@ -235,7 +235,9 @@ def test_behind_a_covered_lens_odometry_carries_the_estimates(make: Any) -> None
     images = [photo(state) for state in TRUTH[:4]] + [BLACK] * 3 + [photo(TRUTH[7])]
     chosen = make(start=START, start_position_sigma=0.1)
     records = drive(localizer(chosen), TRUTH, images)
-    assert [record.status for record in records[:4]] == ["tracking"] * 4
+    # Particles that nothing aligned explain the first image tolerably; the second confirms it.
+    assert records[0].status in ("global", "tracking")
+    assert [record.status for record in records[1:4]] == ["tracking"] * 3
     for record, truth in zip(records[4:7], TRUTH[4:7], strict=True):
         assert record.status == "blind"
         assert record.confidence == 0.0
