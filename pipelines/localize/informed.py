@@ -48,6 +48,8 @@ LARGEST_PRIOR = 2_000
 CARRIED, MOST_CARRIED = 1e-3, 0.5
 # Below this probability of seeing the map at all, the whole map is searched.
 PRESENT = 0.8
+# Below this probability that the picture is as it should be, a user is told.
+FAULTY = 0.02
 # While several peaks are left, the body is with this probability where none of them is.
 UNDECIDED_SHARE = 0.05
 UNDECIDED_MODE_SHARE = 0.95
@@ -204,7 +206,7 @@ class Informed:
                 "the first image does not show what the map shows around the start pose: "
                 "the start pose was given up and the whole map searched"
             )
-        if self._faults.none < 0.5:
+        if self._faults.none < FAULTY:
             notes.append(
                 f"the images fit the map better {self._faults.likeliest}: "
                 "check how the camera is mounted and whether its driver changes the picture"

@@ -40,8 +40,8 @@ from pipelines.localize.track import MOST_REJECTED, Track
 # counted (other places, outside of the map), and that place is narrower than this.
 TRACKING_PROBABILITY = 0.9
 # A body that has not been found yet is followed after so many such images running, or one of which
-# this share is explained (``MeasurementModel.explained``).
-CONFIRMING_IMAGES, CONFIRMING_SHARE = 2, 0.4
+# this share is explained (``MeasurementModel.explained``); less of it where a start pose is given.
+CONFIRMING_IMAGES, CONFIRMING_SHARE, STARTING_SHARE = 2, 0.4, 0.25
 # It is lost while the image more probably does not show the map at all.
 LOST_PROBABILITY = 0.5
 TRACKING_POSITION, TRACKING_HEADING = 0.35, math.radians(10.0)
@@ -212,7 +212,8 @@ class Localizer:
         if self._has_been_found or self._likely_images >= CONFIRMING_IMAGES:
             return True
         fine = observations.by_width[self.settings.fine_width]
-        return self._model.explained(main.state, fine) >= CONFIRMING_SHARE
+        least = CONFIRMING_SHARE if self.settings.start is None else STARTING_SHARE
+        return self._model.explained(main.state, fine) >= least
 
     def _predicted_track(self, update: Update) -> Track | None:
         """The track after the motion before this image."""

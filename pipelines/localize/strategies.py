@@ -39,7 +39,7 @@ from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import StateSpace
 
 # An image that fits some place so well may show the map, although one alone does not prove it.
-PROMISING = 3.0
+PROMISING = 5.0
 
 
 @dataclass(frozen=True)
