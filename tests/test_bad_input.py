@@ -559,7 +559,7 @@ def test_suspicious_odometry_is_said_and_kept(place: Place) -> None:
     assert note in succeed("info", place.output)
     # What the robot really is, is not asked of a camera that moves freely.
     free = lfnav(*place.localize("--dof", "6", "--json", "--overwrite"))
-    assert json.loads(free.out)["notes"] == []
+    assert not any("odometry.txt" in said for said in json.loads(free.out)["notes"])
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.__name__)

@@ -78,8 +78,9 @@ def test_the_wall_is_not_found_in_images_of_something_else(change: Change) -> No
         records = drive(localizer(informed_settings(), seed), images=images)
         assert "tracking" not in {record.status for record in records}, stated(records)
         confidences += [record.confidence for record in records]
-        # In the end that is what it says.
-        assert records[-1].status == "lost", stated(records)
+        # It says that it is lost, or still searching where one image fits some place.
+        assert {record.status for record in records} <= {"lost", "global", "blind"}, stated(records)
+        assert sum(record.status == "lost" for record in records) >= len(records) // 2
     # They are probabilities, of something that is never true.
     assert np.mean(confidences) < 0.1
 

@@ -49,7 +49,7 @@ CARRIED, MOST_CARRIED = 1e-3, 0.5
 # Below this probability of seeing the map at all, the whole map is searched.
 PRESENT = 0.8
 # Below this probability that the picture is as it should be, a user is told.
-FAULTY = 0.02
+FAULTY = 0.003
 # While several peaks are left, the body is with this probability where none of them is.
 UNDECIDED_SHARE = 0.05
 UNDECIDED_MODE_SHARE = 0.95
