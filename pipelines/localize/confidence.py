@@ -5,6 +5,7 @@ that the filter gives the place, against all other places and against not seeing
 second is how much of the estimate's normal distribution lies within the bounds.
 """
 
+import functools
 import math
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy.special import ndtri
 
 from pipelines.artifacts.array_types import FloatArray
 from pipelines.artifacts.errors import OptionError
+from pipelines.localize.halton import radical_inverses
 from pipelines.localize.state_space import state_space_of_dimension
 
 # What "right" means: metres and radians.
@@ -49,20 +51,9 @@ def share_within(covariance: FloatArray) -> float:
     return float(np.mean((metres <= POSITION_BOUND) & (radians <= ANGLE_BOUND)))
 
 
+@functools.cache
 def _normal_points(dimension: int) -> FloatArray:
-    """``(POINTS, dimension)`` evenly spread by a standard normal distribution."""
-    if dimension not in _KEPT:
-        columns = [_radical_inverses(base) for base in BASES[:dimension]]
-        _KEPT[dimension] = np.asarray(ndtri(np.stack(columns, axis=1)))
-    return _KEPT[dimension]
-
-
-def _radical_inverses(base: int) -> FloatArray:
-    rest, result, worth = np.arange(1, POINTS + 1), np.zeros(POINTS), 1.0 / base
-    while rest.any():
-        result += worth * (rest % base)
-        rest, worth = rest // base, worth / base
-    return result
-
-
-_KEPT: dict[int, FloatArray] = {}
+    """``(POINTS, dimension)`` evenly spread by a standard normal distribution; not changed."""
+    # The sequence's first number is 0, which no normal distribution has.
+    columns = [radical_inverses(POINTS + 1, base)[1:] for base in BASES[:dimension]]
+    return np.asarray(ndtri(np.stack(columns, axis=1)))

@@ -18,6 +18,7 @@ from pipelines.geometry.pose import inverse
 from pipelines.lightfield.channels import ZERO
 from pipelines.lightfield.renderer import Renderer
 from pipelines.localize.belief import Region
+from pipelines.localize.halton import radical_inverses
 from pipelines.localize.observation import Observation
 from pipelines.localize.state_space import StateSpace
 
@@ -97,20 +98,10 @@ def spread_states(space: StateSpace, region: Region, count: int) -> FloatArray:
 
     A Halton sequence: more even than random numbers, and the same every time.
     """
-    places = np.stack([_radical_inverses(count, base) for base in HALTON_BASES], axis=1)
+    places = np.stack([radical_inverses(count, base) for base in HALTON_BASES], axis=1)
     low = np.append(region.low, -np.pi)
     high = np.append(region.high, np.pi)
     return space.moved(low + places * (high - low), np.zeros(space.dimension))
-
-
-def _radical_inverses(count: int, base: int) -> FloatArray:
-    """``(count,)``: 0, 1, 2 ... with their digits mirrored at the point, in [0, 1)."""
-    rest, result = np.arange(count), np.zeros(count)
-    worth = 1.0 / base
-    while rest.any():
-        result += worth * (rest % base)
-        rest, worth = rest // base, worth / base
-    return result
 
 
 def states_around_views(
