@@ -30,7 +30,7 @@ from pipelines.localize.proposal import Proposal
 from pipelines.localize.resampling import resample
 from pipelines.localize.search import GLANCE, THOROUGH, Search
 from pipelines.localize.settings import LocalizerSettings
-from pipelines.localize.state_space import StateSpace
+from pipelines.localize.state_space import StateSpace, sigmas_of
 from pipelines.localize.strategies import PROMISING, Update
 
 # Hypotheses that are aligned in a search, and peaks that are followed.
@@ -227,8 +227,8 @@ class Informed:
             return
         error = space.difference(moved, motion)
         left = error - self._calibration.correction @ motion
-        sigmas = _spread(space, *self._settings.motion.standard_deviations(space, motion))
-        expected = sigmas**2 + _spread(space, ESTIMATE_POSITION, ESTIMATE_ANGLE) ** 2
+        sigmas = sigmas_of(space, *self._settings.motion.standard_deviations(space, motion))
+        expected = sigmas**2 + sigmas_of(space, ESTIMATE_POSITION, ESTIMATE_ANGLE) ** 2
         surprise = float(np.mean(left**2 / expected))
         self._calibration = self._calibration.learned(motion, error, surprise)
 
@@ -364,8 +364,8 @@ class Informed:
     def _covariance(self, curvature: FloatArray) -> FloatArray:
         """Width ``(D, D)`` of the likelihood at a peak with this curvature, made somewhat wider."""
         space = self._space
-        smallest = _spread(space, SMALLEST_POSITION, SMALLEST_ANGLE)
-        largest = _spread(space, LARGEST_POSITION, LARGEST_ANGLE)
+        smallest = sigmas_of(space, SMALLEST_POSITION, SMALLEST_ANGLE)
+        largest = sigmas_of(space, LARGEST_POSITION, LARGEST_ANGLE)
         sharpness = 2.0 * self._model.likelihood.proposal_sharpness / 255.0**2
         precision = sharpness * curvature + np.diag(largest**-2.0)
         return np.asarray(WIDENING**2 * np.linalg.inv(precision) + np.diag(smallest**2))
@@ -399,7 +399,3 @@ class Informed:
                 lambda image: search.most_evidence(gallery, image), observations
             )
         return search.distinct(gallery, states, evidence, count)
-
-
-def _spread(space: StateSpace, position: float, angle: float) -> FloatArray:
-    return np.array([position] * space.positions + [angle] * space.angles)

@@ -32,7 +32,7 @@ from pipelines.localize.motion import checked_increment
 from pipelines.localize.observation import Observations, Observer
 from pipelines.localize.run import FrameRecord
 from pipelines.localize.settings import LocalizerSettings
-from pipelines.localize.state_space import state_space_of_dimension
+from pipelines.localize.state_space import sigmas_of, state_space_of_dimension
 from pipelines.localize.strategies import CoarseToFine, Condensation, Strategy, Update
 from pipelines.localize.track import MOST_REJECTED, Track
 
@@ -100,10 +100,7 @@ class Localizer:
         self._track: Track | None = None
         self._has_been_found = False
         self._likely_images = 0
-        sigmas = np.array(
-            [settings.map_position_sigma] * self.space.positions
-            + [settings.map_heading_sigma] * self.space.angles
-        )
+        sigmas = sigmas_of(self.space, settings.map_position_sigma, settings.map_heading_sigma)
         self._map_covariance = np.diag(sigmas**2)
         self._moved = np.zeros(self.space.dimension)
 
@@ -219,10 +216,7 @@ class Localizer:
         """The track after the motion before this image."""
         if self._track is None or update.motion is None:
             return None
-        sigmas = np.array(
-            [update.position_sigma] * self.space.positions
-            + [update.angle_sigma] * self.space.angles
-        )
+        sigmas = sigmas_of(self.space, update.position_sigma, update.angle_sigma)
         return self._track.predicted(self.space, update.motion, sigmas)
 
     def _followed(self, main: Mode, observations: Observations) -> Track | None:

@@ -21,6 +21,7 @@ from pipelines.localize.retrieval import (
     states_around_views,
 )
 from pipelines.localize.settings import LocalizerSettings
+from pipelines.localize.state_space import sigmas_of
 
 # States around a place that looks like the image: standard deviations in metres and radians.
 AROUND_POSITION, AROUND_ANGLE = 0.2, 0.08
@@ -117,7 +118,7 @@ class Search:
         best = np.argsort(-scores, kind="stable")
         found = gallery.index.states[best[: effort.retrieved]]
         position, angle = gallery.scale * AROUND_POSITION, gallery.scale * AROUND_ANGLE
-        sigma = np.array([position] * space.positions + [angle] * space.angles)
+        sigma = sigmas_of(space, position, angle)
         around = np.repeat(found, effort.copies, axis=0)
         around = space.moved(around, sigma * self._rng.standard_normal(around.shape))
         states = np.concatenate([found, around])

@@ -247,6 +247,11 @@ PLANAR: StateSpace = Planar()
 SPATIAL: StateSpace = Spatial()
 
 
+def sigmas_of(space: StateSpace, position: float, angle: float) -> FloatArray:
+    """``(D,)``: one number for every position, metres, and one for every angle, radians."""
+    return np.array([position] * space.positions + [angle] * space.angles)
+
+
 def state_space_named(name: str) -> StateSpace:
     """The state space of a name.
 
