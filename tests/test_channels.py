@@ -7,8 +7,10 @@ from hypothesis import strategies as st
 
 from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray
 from pipelines.lightfield.channels import (
+    COLOURFULNESS,
     LUMA,
     SCALE,
+    SMALLEST_BRIGHTNESS,
     SMALLEST_SLOPE,
     SMALLEST_SPREAD,
     WINDOW,
@@ -21,8 +23,11 @@ from pipelines.lightfield.views import build_views
 from tests.lightfield_samples import looking, pinhole
 from tests.report_samples import facing_wall, photo
 
-MADE = (Channels.CONTRAST, Channels.GRADIENT)
+# CHROMA bears a gain, but no offset.
+LIGHTPROOF = (Channels.CONTRAST, Channels.GRADIENT, Channels.MIXED)
+MADE = (*LIGHTPROOF, Channels.CHROMA)
 every_channel = pytest.mark.parametrize("channels", MADE)
+every_lightproof_channel = pytest.mark.parametrize("channels", LIGHTPROOF)
 
 
 def random_image(seed: int, height: int = 14, width: int = 19) -> Float32Array:
@@ -81,6 +86,51 @@ def test_gradients_are_differences_over_the_steepness_around() -> None:
     np.testing.assert_allclose(channel_image(image, Channels.GRADIENT), expected, atol=0.02)
 
 
+def test_mixed_is_the_contrast_of_the_greys_and_their_slopes() -> None:
+    image = random_image(8)
+    shown = np.random.default_rng(8).uniform(size=image.shape[:2]) >= 0.2
+    grey = np.repeat((image @ LUMA)[..., None], 3, axis=2).astype(float)
+    found = channel_image(image, Channels.MIXED, shown)
+    np.testing.assert_allclose(found[..., 0], contrast_by_hand(grey, shown)[..., 0], atol=0.02)
+    slopes = channel_image(image, Channels.GRADIENT, shown)
+    np.testing.assert_array_equal(found[..., 1:], slopes[..., :2])
+
+
+def test_chroma_is_the_contrast_of_the_greys_and_colours_over_the_brightness_around() -> None:
+    image = random_image(9)
+    shown = np.random.default_rng(9).uniform(size=image.shape[:2]) >= 0.2
+    grey = np.repeat((image @ LUMA)[..., None], 3, axis=2).astype(float)
+    found = channel_image(image, Channels.CHROMA, shown)
+    np.testing.assert_allclose(found[..., 0], contrast_by_hand(grey, shown)[..., 0], atol=0.02)
+    height, width = shown.shape
+    expected = np.full((height, width, 2), ZERO)
+    for row, column in np.argwhere(shown):
+        near = [
+            grey[y, x, 0]
+            for y in around(int(row), height)
+            for x in around(int(column), width)
+            if shown[y, x]
+        ]
+        red, green, blue = map(float, image[row, column])
+        scale = SCALE * COLOURFULNESS / (np.mean(near) + SMALLEST_BRIGHTNESS)
+        colours = np.array([red - green, (red + green) / 2.0 - blue])
+        expected[row, column] += scale * colours
+    np.testing.assert_allclose(found[..., 1:], np.clip(expected, 0.0, 255.0), atol=0.02)
+
+
+def test_only_chroma_tells_even_surfaces_of_different_paint_apart() -> None:
+    paints = ((150.0, 90.0, 80.0), (80.0, 110.0, 150.0), (100.0, 100.0, 100.0))
+    for channels in MADE:
+        images = [
+            channel_image(np.full((9, 7, 3), paint, dtype=np.float32), channels) for paint in paints
+        ]
+        differences = [np.abs(images[i] - images[i - 1]).max() for i in range(len(images))]
+        if channels is Channels.CHROMA:
+            assert min(differences) > SCALE / 2.0
+        else:
+            assert max(differences) < 0.5
+
+
 def test_colours_stay_as_they_are() -> None:
     image = random_image(0)
     np.testing.assert_array_equal(channel_image(image, Channels.COLOUR), image)
@@ -89,7 +139,7 @@ def test_colours_stay_as_they_are() -> None:
 # --- another light -----------------------------------------------------------------------------
 
 
-@every_channel
+@every_lightproof_channel
 @given(st.floats(0.3, 3.0), st.floats(-60.0, 60.0), st.integers(0, 5))
 def test_gain_and_offset_change_nothing_above_the_noise_floor(
     channels: Channels, gain: float, offset: float, seed: int
@@ -106,14 +156,22 @@ def test_gain_and_offset_change_nothing_above_the_noise_floor(
     assert np.abs(plain - ZERO).mean() > 10.0 * np.abs(lit - plain).mean()
 
 
-@every_channel
+@given(st.floats(0.5, 2.0), st.integers(0, 5))
+def test_a_gain_changes_chroma_little(gain: float, seed: int) -> None:
+    image = random_image(seed)
+    plain = channel_image(image, Channels.CHROMA)
+    lit = channel_image((gain * image).astype(np.float32), Channels.CHROMA)
+    assert np.abs(lit - plain).mean() < 0.1 * np.abs(plain - ZERO).mean()
+
+
+@every_lightproof_channel
 def test_an_offset_changes_nothing_at_all(channels: Channels) -> None:
     image = random_image(1)
     lit = channel_image(image + np.float32(40.0), channels)
     np.testing.assert_allclose(lit, channel_image(image, channels), atol=0.02)
 
 
-@pytest.mark.parametrize("channels", MADE)
+@every_channel
 def test_light_that_falls_off_across_the_image_changes_little(channels: Channels) -> None:
     image = photo(facing_wall(-0.4, 1.7, 0.15)).astype(np.float32)
     height, width = image.shape[:2]

@@ -7,10 +7,15 @@ product of two such images is the mean of their local ZNCC scores). ``GRADIENT``
 the grey levels, divided by how steep the neighbourhood is (as block-normalised gradients, Dalal and
 Triggs 2005), and their length.
 
-Channels are bytes like colours, 128 where there is nothing to see, and stand in the place of RGB:
-views of them are blended, and compared, by the same code. They are computed from each level of a
-photo's pyramid, so that a neighbourhood is as many pixels wide as in the image that it is compared
-with.
+Two are mixtures. ``MIXED`` takes the local contrast of the grey levels and their two slopes.
+``CHROMA`` takes that contrast and two colours, red against green and yellow against blue, divided
+by the brightness of the neighbourhood. They also tell even surfaces of different paint apart, and
+bear a light that is brighter or dimmer, but not one of another colour.
+
+Channels are bytes like colours, 128 where there is nothing to see (an even surface; in ``CHROMA``
+a grey one), and stand in the place of RGB: views of them are blended, and compared, by the same
+code. They are computed from each level of a photo's pyramid, so that a neighbourhood is as many
+pixels wide as in the image that it is compared with.
 """
 
 from enum import Enum
@@ -25,6 +30,10 @@ from pipelines.lightfield.views import Views
 WINDOW = 5
 # Grey levels: spreads and slopes below these are noise, and are not blown up.
 SMALLEST_SPREAD, SMALLEST_SLOPE = 3.0, 1.5
+# Grey levels that are added to the brightness: in the dark, colour is noise.
+SMALLEST_BRIGHTNESS = 8.0
+# A colour that differs by a quarter of the brightness counts as much as a spread of one.
+COLOURFULNESS = 4.0
 # The channels' zero, and how much a spread of one is, as bytes.
 ZERO, SCALE = 128.0, 40.0
 # Luma of ITU-R BT.601.
@@ -37,6 +46,8 @@ class Channels(Enum):
     COLOUR = "colour"
     CONTRAST = "contrast"
     GRADIENT = "gradient"
+    MIXED = "mixed"
+    CHROMA = "chroma"
 
 
 def channel_image(
@@ -56,11 +67,7 @@ def channel_image(
     used = np.ones(colours.shape[:2], np.float32) if shown is None else shown.astype(np.float32)
     filled = np.where(used[..., None] > 0.0, colours, np.float32(0.0))
     share = np.maximum(_box(used), np.float32(1e-6))
-    values = (
-        _contrast(filled, used, share)
-        if channels is Channels.CONTRAST
-        else _gradient(filled, used, share)
-    )
+    values = _MADE_BY[channels](filled, used, share)
     return np.asarray(np.clip(ZERO + SCALE * values, 0.0, 255.0), dtype=np.float32)
 
 
@@ -87,6 +94,30 @@ def _gradient(colours: Float32Array, used: Float32Array, share: Float32Array) ->
     steepness = np.sqrt(_box(squares) / share + np.float32(SMALLEST_SLOPE**2))
     slopes = np.stack([across, down, np.sqrt(squares)], axis=2)
     return np.asarray(used[..., None] * slopes / steepness[..., None])
+
+
+def _mixed(colours: Float32Array, used: Float32Array, share: Float32Array) -> Float32Array:
+    # Local contrast is linear in the colours: the greys' is the grey of all three.
+    contrast = _contrast(colours, used, share) @ LUMA
+    slopes = _gradient(colours, used, share)
+    return np.concatenate([contrast[..., None], slopes[..., :2]], axis=2)
+
+
+def _chroma(colours: Float32Array, used: Float32Array, share: Float32Array) -> Float32Array:
+    contrast = _contrast(colours, used, share) @ LUMA
+    red, green, blue = np.moveaxis(colours, 2, 0)
+    brightness = _box(colours @ LUMA) / share + np.float32(SMALLEST_BRIGHTNESS)
+    scale = np.float32(COLOURFULNESS) * used / brightness
+    yellow = np.float32(0.5) * (red + green)
+    return np.stack([contrast, scale * (red - green), scale * (yellow - blue)], axis=2)
+
+
+_MADE_BY = {
+    Channels.CONTRAST: _contrast,
+    Channels.GRADIENT: _gradient,
+    Channels.MIXED: _mixed,
+    Channels.CHROMA: _chroma,
+}
 
 
 def views_in_channels(views: Views, channels: Channels) -> Views:

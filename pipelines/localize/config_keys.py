@@ -261,7 +261,7 @@ KEYS = (
         "channels",
         "likelihood.channels",
         _named(Channels),
-        "colour, contrast, gradient",
+        "colour, contrast, gradient, mixed, chroma",
     ),
     Key("likelihood", "sharpness", "likelihood.sharpness", NUMBER, "log-likelihood a unit of cost"),
     Key("likelihood", "fit_gain", "likelihood.fit_gain", FLAG, "fit the brightness first"),
