@@ -13,7 +13,7 @@ from pipelines.lightfield.comparison import prepared
 from pipelines.lightfield.renderer import Renderer, RenderingWithSurface
 from pipelines.localize.alignment_kernels import CHUNK, FLAT, normal_equations, robust_error
 from pipelines.localize.observation import Observation, Observer
-from pipelines.localize.refinement import Refined, refine
+from pipelines.localize.refinement import Refined, _inverse, refine
 from pipelines.localize.state_space import PLANAR, SPATIAL, StateSpace
 from tests.report_samples import CAMERA, MOUNT, facing_wall, photo, smooth, wall_scene
 
@@ -237,6 +237,18 @@ def test_the_kernel_adds_up_what_plain_arrays_do(
     np.testing.assert_allclose(hessian / scale, expected / scale, atol=1e-5)
     largest = np.abs(tiles).max(axis=0)
     np.testing.assert_allclose(clusters / largest, tiles / largest, atol=1e-5)
+
+
+@pytest.mark.parametrize("contrast", [0.0, 1e-9, 0.5, 60.0])
+@pytest.mark.parametrize("pixels", [0.0, 1.0, 1e6])
+def test_gain_and_offset_are_eliminated_as_by_the_pseudo_inverse(
+    contrast: float, pixels: float
+) -> None:
+    # Of values with mean 128: without contrast gain and offset cannot be told apart.
+    squares = 128.0**2 + contrast**2
+    matrix = pixels * np.array([[squares, 128.0], [128.0, 1.0]])
+    expected = np.linalg.pinv(matrix, hermitian=True)
+    np.testing.assert_allclose(_inverse(matrix), expected, rtol=1e-6)
 
 
 def test_the_robust_error_is_tukeys_loss(renderer: Renderer) -> None:
