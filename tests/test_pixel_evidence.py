@@ -35,10 +35,8 @@ def wall_views(count: int, camera_size: tuple[int, int] = (48, 36)) -> Views:
 def learnt(
     views: Views, channels: Channels = Channels.CONTRAST, width: int = WIDTH
 ) -> PixelEvidence:
-    def renderer_of(some: Views) -> Renderer:
-        return Renderer(some, WALL, threads=1)
-
-    return learn_evidence(views, channels, width, renderer_of, views_in_channels(views, channels))
+    renderer = Renderer(views_in_channels(views, channels), WALL, threads=1)
+    return learn_evidence(views, channels, width, renderer)
 
 
 @pytest.fixture(scope="module")

@@ -11,9 +11,9 @@ from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.pose import inverse, world_from_base_planar
 from pipelines.lightfield.comparison import prepared
 from pipelines.lightfield.renderer import Renderer, RenderingWithSurface
-from pipelines.localize.alignment_kernels import FLAT, normal_equations, robust_error
+from pipelines.localize.alignment_kernels import CHUNK, FLAT, normal_equations, robust_error
 from pipelines.localize.observation import Observation, Observer
-from pipelines.localize.refinement import Refined, refine
+from pipelines.localize.refinement import Refined, _inverse, refine
 from pipelines.localize.state_space import PLANAR, SPATIAL, StateSpace
 from tests.report_samples import CAMERA, MOUNT, facing_wall, photo, smooth, wall_scene
 
@@ -70,11 +70,16 @@ class Look:
     intrinsics: Intrinsics
 
 
-def look_at(renderer: Renderer, space: StateSpace, state: FloatArray) -> Look:
+def look_at(
+    renderer: Renderer,
+    space: StateSpace,
+    state: FloatArray,
+    intrinsics: Intrinsics = CAMERA.intrinsics,
+) -> Look:
     body = space.poses(state)
     camera = body @ MOUNT
-    view = renderer.render_with_surface(camera, CAMERA.intrinsics)
-    return Look(view, camera, camera[:3, 3] - body[:3, 3], CAMERA.intrinsics)
+    view = renderer.render_with_surface(camera, intrinsics)
+    return Look(view, camera, camera[:3, 3] - body[:3, 3], intrinsics)
 
 
 def projected(camera: FloatArray, points: FloatArray, intrinsics: Intrinsics) -> FloatArray:
@@ -214,15 +219,16 @@ def inner(covered: BoolArray) -> BoolArray:
 
 
 @both
+@pytest.mark.parametrize("width", [CAMERA.width, CHUNK + 2, 2 * CHUNK + 11])
 @pytest.mark.parametrize("x", [-0.4, 2.3], ids=["all covered", "past the map's end"])
 def test_the_kernel_adds_up_what_plain_arrays_do(
-    space: StateSpace, x: float, renderer: Renderer
+    space: StateSpace, x: float, width: int, renderer: Renderer
 ) -> None:
     place = facing_wall(x, 1.7, 0.15)
     state = place if space is PLANAR else SPATIAL.states(world_from_base_planar(place))
-    look = look_at(renderer, space, state)
+    look = look_at(renderer, space, state, CAMERA.intrinsics.resized(width, 36))
     assert look.view.covered.all() == (x < 0.0)
-    noise = np.random.default_rng(1).normal(0.0, 20.0, IMAGE.shape)
+    noise = np.random.default_rng(1).normal(0.0, 20.0, look.view.image.shape)
     target = (0.9 * look.view.image + 7.0 + noise).astype(np.float32)
     arguments = (target, 0.95, 3.0, 40.0)
     hessian, clusters = kernel_sums(space, look, *arguments)
@@ -231,6 +237,18 @@ def test_the_kernel_adds_up_what_plain_arrays_do(
     np.testing.assert_allclose(hessian / scale, expected / scale, atol=1e-5)
     largest = np.abs(tiles).max(axis=0)
     np.testing.assert_allclose(clusters / largest, tiles / largest, atol=1e-5)
+
+
+@pytest.mark.parametrize("contrast", [0.0, 1e-9, 0.5, 60.0])
+@pytest.mark.parametrize("pixels", [0.0, 1.0, 1e6])
+def test_gain_and_offset_are_eliminated_as_by_the_pseudo_inverse(
+    contrast: float, pixels: float
+) -> None:
+    # Of values with mean 128: without contrast gain and offset cannot be told apart.
+    squares = 128.0**2 + contrast**2
+    matrix = pixels * np.array([[squares, 128.0], [128.0, 1.0]])
+    expected = np.linalg.pinv(matrix, hermitian=True)
+    np.testing.assert_allclose(_inverse(matrix), expected, rtol=1e-6)
 
 
 def test_the_robust_error_is_tukeys_loss(renderer: Renderer) -> None:

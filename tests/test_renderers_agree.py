@@ -14,7 +14,7 @@ from pipelines.lightfield.blending import MOST_RANKED, Blending
 from pipelines.lightfield.proxy import Quality, plane_inverse_depth
 from pipelines.lightfield.reference import render_reference, view_mappings
 from pipelines.lightfield.renderer import Renderer
-from pipelines.lightfield.views import Views, build_views
+from pipelines.lightfield.views import Views, build_views, without_view
 from tests.lightfield_samples import WALL, looking, noise_views, pinhole, tilted_wall
 
 LightField = tuple[Views, Plane, FloatArray]
@@ -275,3 +275,26 @@ def test_random_scenes_with_depth(blending: Blending, quality: Quality) -> None:
         views = with_depth(views, generator, known)
         coverage.append(assert_agree(views, plane, pose, camera, blending, quality))
     assert max(coverage) > 0.4
+
+
+@pytest.mark.parametrize("quality", [Quality.PLANE, Quality.MEDIUM])
+@pytest.mark.parametrize("blending", Blending)
+def test_without_a_view_others_are_rendered_as_by_a_renderer_of_them(
+    blending: Blending, quality: Quality
+) -> None:
+    generator = np.random.default_rng(23)
+    views, plane, pose = many(generator)
+    views = with_depth(views, generator, 1.0)
+    whole, camera = Renderer(views, plane, blending, quality, threads=1), RESOLUTIONS[1]
+    before = whole.render(pose, camera).image
+    changed = 0
+    for index in range(len(views)):
+        rest = whole.without_view(index)
+        anew = Renderer(without_view(views, index), plane, blending, quality, threads=1)
+        expected = anew.render(pose, camera)
+        np.testing.assert_array_equal(rest.render(pose, camera).image, expected.image)
+        assert len(rest.views) == len(views) - 1
+        changed += int(np.any(expected.image != before))
+    # Left out is what was asked for: some of the views are seen, and not all.
+    assert 0 < changed < len(views)
+    np.testing.assert_array_equal(whole.render(pose, camera).image, before)

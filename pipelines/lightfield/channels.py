@@ -64,11 +64,14 @@ def channel_image(
     colours = np.asarray(image, dtype=np.float32)
     if channels is Channels.COLOUR:
         return colours
-    used = np.ones(colours.shape[:2], np.float32) if shown is None else shown.astype(np.float32)
-    filled = np.where(used[..., None] > 0.0, colours, np.float32(0.0))
+    shown = np.ones(colours.shape[:2], dtype=np.bool_) if shown is None else shown
+    used, filled = shown.astype(np.float32), colours.copy()
+    filled[~shown] = 0.0
     share = np.maximum(_box(used), np.float32(1e-6))
     values = _MADE_BY[channels](filled, used, share)
-    return np.asarray(np.clip(ZERO + SCALE * values, 0.0, 255.0), dtype=np.float32)
+    values *= SCALE
+    values += ZERO
+    return np.clip(values, 0.0, 255.0, out=values)
 
 
 def _box(values: Float32Array) -> Float32Array:
@@ -77,12 +80,24 @@ def _box(values: Float32Array) -> Float32Array:
     return np.asarray(blurred, dtype=np.float32)
 
 
+def _thrice(values: Float32Array) -> Float32Array:
+    """Numbers ``(H, W)`` for each of three channels: ``(H, W, 3)``.
+
+    NumPy can do so by itself (broadcasting), but goes through three numbers at a time then, which
+    takes several times as long. Where this is used, results are written over what is not needed any
+    more: with arrays of this size getting memory takes longer than the arithmetic.
+    """
+    return np.asarray(cv2.merge([values, values, values]), dtype=np.float32)
+
+
 def _contrast(colours: Float32Array, used: Float32Array, share: Float32Array) -> Float32Array:
     grey = colours @ LUMA
-    mean = _box(colours) / share[..., None]
+    values = colours - _box(colours) / _thrice(share)
     variance = np.maximum(_box(grey * grey) / share - (_box(grey) / share) ** 2, np.float32(0.0))
     spread = np.sqrt(variance + np.float32(SMALLEST_SPREAD**2))
-    return np.asarray(used[..., None] * (colours - mean) / spread[..., None])
+    values *= _thrice(used)
+    values /= _thrice(spread)
+    return values
 
 
 def _gradient(colours: Float32Array, used: Float32Array, share: Float32Array) -> Float32Array:
@@ -93,7 +108,9 @@ def _gradient(colours: Float32Array, used: Float32Array, share: Float32Array) ->
     squares = across**2 + down**2
     steepness = np.sqrt(_box(squares) / share + np.float32(SMALLEST_SLOPE**2))
     slopes = np.stack([across, down, np.sqrt(squares)], axis=2)
-    return np.asarray(used[..., None] * slopes / steepness[..., None])
+    slopes *= _thrice(used)
+    slopes /= _thrice(steepness)
+    return slopes
 
 
 def _mixed(colours: Float32Array, used: Float32Array, share: Float32Array) -> Float32Array:

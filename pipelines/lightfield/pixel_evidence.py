@@ -16,7 +16,6 @@ Pixels that show next to nothing earn little where they fit: a blank wall fits e
 all of its pixels or in none.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -33,7 +32,7 @@ from pipelines.lightfield.comparison import (
     pixel_strength,
 )
 from pipelines.lightfield.renderer import Renderer
-from pipelines.lightfield.views import Views, area_average, without_view
+from pipelines.lightfield.views import Views, area_average
 
 # At most so many photos are left out, and each is rendered at so many other photos' poses.
 MOST_LEFT_OUT, ELSEWHERE = 24, 4
@@ -71,8 +70,7 @@ def learn_evidence(
     colours: Views,
     channels: Channels,
     width: int,
-    renderer_of: Callable[[Views], Renderer],
-    in_channels: Views,
+    renderer: Renderer,
 ) -> PixelEvidence:
     """Learns from N photos what differences say.
 
@@ -80,8 +78,7 @@ def learn_evidence(
         colours: the photos in colours.
         channels: in which images are compared.
         width: of the images that will be compared, pixels.
-        renderer_of: makes the renderer of some of the photos.
-        in_channels: the photos in these channels.
+        renderer: of the photos in these channels.
     """
     count = len(colours)
     chosen = np.unique(np.linspace(0, count - 1, min(count, MOST_LEFT_OUT)).round().astype(int))
@@ -96,7 +93,7 @@ def learn_evidence(
                 channel_image(small, channels),
                 pinhole.resized(width, height),
                 poses[index],
-                renderer_of(without_view(in_channels, int(index))),
+                renderer.without_view(int(index)),
             )
         )
     return _pixel_evidence(left_out, chosen, poses)

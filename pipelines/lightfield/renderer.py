@@ -29,14 +29,15 @@ from pipelines.lightfield.comparison import (
 )
 from pipelines.lightfield.devices import Device, chosen_gpu
 from pipelines.lightfield.kernels import NO_COMPARISON, render_nets, render_tiles
-from pipelines.lightfield.proxy import SOURCE_VIEWS, Quality, cell_size, usual_inverse_depth
+from pipelines.lightfield.proxy import SOURCE_VIEWS, Quality, cell_size
+from pipelines.lightfield.proxy import usual_inverse_depth as median_inverse_depth
 from pipelines.lightfield.proxy_kernels import choose_sources, depth_surfaces, plane_surfaces
 from pipelines.lightfield.reference import frustum_positions
 from pipelines.lightfield.sample_store import SampleStore
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.surface_room import surface_room_for
 from pipelines.lightfield.view_index import build_index
-from pipelines.lightfield.views import Views, views_of_scene, without_depth
+from pipelines.lightfield.views import Views, views_of_scene, without_depth, without_view
 from pipelines.lightfield.workspace import LightField, Workspaces
 
 logger = logging.getLogger(__name__)
@@ -105,6 +106,8 @@ class Renderer:
         blending: the rule that chooses and weights the views.
         quality: how finely the surface follows the views' depth maps.
         threads: None: one a processor.
+        usual_inverse_depth: of the depth maps, see ``proxy.usual_inverse_depth``; None: not known
+            yet.
 
     Raises:
         OptionError: no threads, or a quality that needs depth maps where there are none.
@@ -117,6 +120,7 @@ class Renderer:
         blending: Blending = Blending.UNSTRUCTURED,
         quality: Quality = Quality.PLANE,
         threads: int | None = None,
+        usual_inverse_depth: float | None = None,
     ) -> None:
         if threads is not None and threads < 1:
             raise OptionError(f"{threads} threads cannot do any work; give at least 1")
@@ -136,7 +140,9 @@ class Renderer:
         if quality is Quality.PLANE:
             usable = plane.signed_distance(views.centres) > 0.0
         self._samples = SampleStore(self.views.arrays)
-        self._usual_inverse_depth = float(usual_inverse_depth(self.views))
+        if usual_inverse_depth is None:
+            usual_inverse_depth = median_inverse_depth(self.views)
+        self._usual_inverse_depth = usual_inverse_depth
         self._field = LightField(
             views=self.views.arrays,
             view_index=build_index(self.views, usable),
@@ -178,6 +184,18 @@ class Renderer:
                     raise
                 logger.warning("rendering on the CPU, since %s", error)
         return cls(views, scene.plane, blending, quality, threads)
+
+    def without_view(self, index: int) -> "Renderer":
+        """A renderer of all other photos, on the CPU."""
+        return Renderer(
+            without_view(self.views, index),
+            self.plane,
+            self.blending,
+            self.quality,
+            self.threads,
+            # The depth maps stay as they are; to sort millions of depths again takes seconds.
+            self._usual_inverse_depth,
+        )
 
     def render(self, world_from_camera: FloatArray, intrinsics: Intrinsics) -> Rendering:
         """Renders one virtual view.

@@ -60,13 +60,13 @@ def build_index(views: Views, usable: BoolArray) -> ViewIndex:
     centres = views.centres[chosen]
     origin = centres.mean(axis=0) if len(chosen) else np.zeros(3)
     numbers = np.zeros((len(chosen), VIEW_NUMBERS), dtype=np.float32)
-    for row, view in enumerate(chosen):
-        projection = views.arrays.projection[view].copy()
-        projection[:, 3] += projection[:, :3] @ origin
-        width, height = views.arrays.level_size[view, 0]
-        numbers[row, :12] = projection.reshape(-1)
-        numbers[row, 12:15] = centres[row] - origin
-        numbers[row, 15:] = width, height, BORDER_SHARE * min(width, height)
+    projection = views.arrays.projection[chosen]
+    projection[:, :, 3] += projection[:, :, :3] @ origin
+    size = views.arrays.level_size[chosen, 0]
+    numbers[:, :12] = projection.reshape(-1, 12)
+    numbers[:, 12:15] = centres - origin
+    numbers[:, 15:17] = size
+    numbers[:, 17] = BORDER_SHARE * size.min(axis=1)
     groups = _groups(centres, np.arange(len(chosen)))
     members = np.full((len(groups), GROUP_VIEWS), -1, dtype=np.int32)
     blocks = np.zeros((len(groups), VIEW_NUMBERS, GROUP_VIEWS), dtype=np.float32)

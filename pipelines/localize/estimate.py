@@ -177,15 +177,12 @@ def _neighbours(occupied: IntArray, rows: int, heading_cells: int) -> tuple[IntA
     """
     heading = occupied % heading_cells
     place = occupied // heading_cells
-    columns, kernel = [], []
-    for dx in (-1, 0, 1):
-        for dy in (-1, 0, 1):
-            for dh in (-1, 0, 1):
-                key = (place + dx * rows + dy) * heading_cells + (heading + dh) % heading_cells
-                index = np.minimum(np.searchsorted(occupied, key), len(occupied) - 1)
-                columns.append(np.where(occupied[index] == key, index, -1))
-                kernel.append(0.5 ** (abs(dx) + abs(dy) + abs(dh)) / 8.0)
-    return np.stack(columns, axis=1).astype(np.int64), np.array(kernel)
+    dx, dy, dh = np.indices((3, 3, 3)).reshape(3, -1, 1) - 1
+    keys = (place + dx * rows + dy) * heading_cells + (heading + dh) % heading_cells
+    found = np.minimum(np.searchsorted(occupied, keys), len(occupied) - 1)
+    neighbours = np.where(occupied[found] == keys, found, -1)
+    kernel = np.asarray(0.5 ** (abs(dx) + abs(dy) + abs(dh))[:, 0] / 8.0, dtype=np.float64)
+    return np.ascontiguousarray(neighbours.T, dtype=np.int64), kernel
 
 
 def _smoothed(values: FloatArray, neighbours: IntArray, kernel: FloatArray) -> FloatArray:

@@ -18,7 +18,7 @@ from pipelines.artifacts.array_types import FloatArray
 from pipelines.localize.adaptation import uncalibrated
 from pipelines.localize.belief import Belief, Region, equal_log_weights, normalise_log_weights
 from pipelines.localize.camera_faults import CameraFaults
-from pipelines.localize.estimate import find_modes
+from pipelines.localize.estimate import Mode, find_modes
 from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.motion import checked_increment
 from pipelines.localize.observation import Observations
@@ -105,6 +105,7 @@ class Informed:
         self._rng = rng
         self._search = Search(model, region, world_from_camera, settings, rng)
         self._belief: Belief | None = None
+        self._modes: tuple[Mode, ...] = ()
         self._presence = Presence()
         self._faults = CameraFaults()
         self._start_was_contradicted = False
@@ -164,8 +165,10 @@ class Informed:
         largest: float = -math.inf,
     ) -> Update:
         """What is known now, and by which motion it was carried on."""
+        self._modes = find_modes(belief)
         return Update(
             belief,
+            self._modes,
             self._presence.inside * self._faults.none,
             self._velocity if motion is None else self._calibration.corrected(motion),
             prediction.position_sigma,
@@ -251,8 +254,7 @@ class Informed:
             metres, radians = map(np.linalg.norm, (self._velocity[:p], self._velocity[p:]))
             position_sigma = max(position_sigma, SPEED_CHANGE * float(metres))
             angle_sigma = max(angle_sigma, SPEED_CHANGE * float(radians))
-        modes = find_modes(self._belief)
-        undecided = modes[0].share < UNDECIDED_MODE_SHARE
+        undecided = self._modes[0].share < UNDECIDED_MODE_SHARE
         anywhere = UNDECIDED_SHARE if undecided else 0.0
         if before.inside < PRESENT:
             anywhere = max(anywhere, MOST_CARRIED * (1.0 - before.inside))

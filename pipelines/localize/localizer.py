@@ -21,7 +21,6 @@ from pipelines.localize.belief import Region, effective_sample_size, region_of_a
 from pipelines.localize.confidence import confidence
 from pipelines.localize.estimate import (
     Mode,
-    find_modes,
     max_weight_state,
     mean_state,
     modes_table,
@@ -167,8 +166,7 @@ class Localizer:
     ) -> FrameRecord:
         """Estimates, their covariance, and whether they can be relied on."""
         belief = update.belief
-        modes = find_modes(belief)
-        main = modes[0]
+        main = update.modes[0]
         status = self._status(update, main, observations)
         self._track = self._predicted_track(update)
         estimates: dict[str, FloatArray] = {}
@@ -190,7 +188,7 @@ class Localizer:
             particles=belief.states,
             log_weights=belief.log_weights,
             estimates=estimates,
-            modes=modes_table(modes),
+            modes=modes_table(update.modes),
             covariance=main.covariance,
             effective_sample_size=effective_sample_size(belief.log_weights),
             confidence=confidence(

@@ -208,14 +208,7 @@ class MeasurementModel:
     def pixels(self, width: int) -> PixelEvidence:
         """What differences say in images of this width; learnt when it is first needed."""
         if width not in self._pixels:
-            own = self.renderer
-            self._pixels[width] = learn_evidence(
-                self._colours,
-                self.channels,
-                width,
-                lambda views: Renderer(views, own.plane, own.blending, own.quality, own.threads),
-                own.views,
-            )
+            self._pixels[width] = learn_evidence(self._colours, self.channels, width, self.renderer)
         return self._pixels[width]
 
     def aligned(

@@ -39,6 +39,9 @@ LARGEST_STEP_METRES, LARGEST_STEP_RADIANS = 0.3, math.radians(8.0)
 # A step that moves the picture by less than this, in pixels, ends a level.
 STEP_PIXELS = 0.1
 TILES_ACROSS = 8
+# Gain and offset are told apart while the determinant of their equations is more than this share of
+# what it can be.
+SMALLEST_DETERMINANT = 1e-12
 FIRST_DAMPING, DAMPING_FACTOR, LARGEST_DAMPING = 1e-3, 8.0, 10.0
 
 
@@ -115,16 +118,20 @@ class _Level:
     intrinsics: Intrinsics
     target: Float32Array
 
+    @property
+    def stride(self) -> int:
+        """Every so many-th pixel of every so many-th row tells as much as all, of brightness."""
+        return max(1, self.intrinsics.width // 40)
+
     def look(self, state: FloatArray) -> _Look | None:
         """Renders and compares; None where too little of the scene is seen."""
         pose = self.space.poses(state) @ self.body_from_camera
         view = self.renderer.render_with_surface(pose, self.intrinsics)
-        if np.count_nonzero(view.covered) < SMALLEST_SHARE * view.covered.size:
+        covered = view.covered
+        if np.count_nonzero(covered) < SMALLEST_SHARE * covered.size:
             return None
-        # Every few pixels tell the brightness as well as all of them.
-        stride = max(1, self.intrinsics.width // 40)
         gain, offset, scale = fitted_brightness(
-            view.rgba, self.target, stride, TUKEY, SMALLEST_SCALE, LARGEST_GAIN
+            view.rgba, self.target, self.stride, TUKEY, SMALLEST_SCALE, LARGEST_GAIN
         )
         return _Look(view, gain, offset, scale)
 
@@ -159,10 +166,20 @@ class _Level:
             TILES_ACROSS,
         )
         d = self.space.dimension
-        elimination = hessian[:d, d:] @ np.linalg.pinv(hessian[d:, d:])
+        elimination = hessian[:d, d:] @ _inverse(hessian[d:, d:])
         reduced = hessian[:d, :d] - elimination @ hessian[d:, :d]
         own = clusters[:, :d] - clusters[:, d:] @ elimination.T
         return reduced, own.sum(axis=0), own
+
+
+def _inverse(matrix: FloatArray) -> FloatArray:
+    """The inverse ``(2, 2)`` of a symmetric matrix, or the pseudo-inverse where there is none."""
+    (a, b), (_, c) = matrix.tolist()
+    determinant = a * c - b * b
+    if determinant <= SMALLEST_DETERMINANT * a * c:
+        return np.asarray(np.linalg.pinv(matrix, hermitian=True), dtype=np.float64)
+    # Written out: the general way takes a fifth of the time of an alignment's normal equations.
+    return np.asarray(np.array([[c, -b], [-b, a]]) / determinant, dtype=np.float64)
 
 
 def _unknowns(space: StateSpace) -> tuple[FloatArray, BoolArray]:
@@ -216,6 +233,7 @@ def _refine_level(
     if look is None:
         return _failed(level.space, state)
     damping, converged = FIRST_DAMPING, False
+    error = level.error(look, look.scale)
     hessian, gradient, clusters = level.normal_equations(state, look)
     pull = _Pull(level, prior, hessian, clusters)
     for _ in range(iterations):
@@ -225,10 +243,11 @@ def _refine_level(
             break
         proposed = level.space.moved(state, step)
         then = level.look(proposed)
-        if then is not None and level.error(then, look.scale) + pull.error(proposed) < level.error(
-            look, look.scale
-        ) + pull.error(state):
+        if then is not None and level.error(then, look.scale) + pull.error(
+            proposed
+        ) < error + pull.error(state):
             state, look = proposed, then
+            error = level.error(look, look.scale)
             hessian, gradient, clusters = level.normal_equations(state, look)
             damping = max(damping / DAMPING_FACTOR, FIRST_DAMPING)
         elif damping >= LARGEST_DAMPING:
@@ -241,8 +260,7 @@ def _refine_level(
         covariance = inverse @ (clusters.T @ clusters) @ inverse
     else:
         covariance = np.linalg.inv(hessian / pull.dispersion + prior.information)
-    error = level.error(look, look.scale)
-    curvature = hessian / (3.0 * look.view.covered.size)
+    curvature = hessian / (3.0 * look.view.inverse_depth.size)
     return Refined(state, 0.5 * (covariance + covariance.T), curvature, error, converged)
 
 
@@ -302,7 +320,9 @@ def _step(
 
 def _in_pixels(level: _Level, look: _Look, step: FloatArray) -> float:
     """About how far a step moves the picture, pixels."""
-    nearness = float(np.median(look.view.inverse_depth[look.view.covered]))
+    some = np.s_[:: level.stride, :: level.stride]
+    seen = look.view.inverse_depth[some][look.view.rgba[some][..., 3] > 0.0]
+    nearness = float(np.median(seen)) if len(seen) else math.inf
     positions = level.space.positions
     metres, radians = np.linalg.norm(step[:positions]), np.linalg.norm(step[positions:])
     return float(level.intrinsics.fx * (metres * nearness + radians))

@@ -27,6 +27,7 @@ from pipelines.localize.belief import (
     normalise_log_weights,
     uniform_belief,
 )
+from pipelines.localize.estimate import Mode, find_modes
 from pipelines.localize.likelihood import tempered
 from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.motion import checked_increment, predict
@@ -48,6 +49,7 @@ class Update:
 
     Attributes:
         belief: where the body is, if the image shows the map.
+        modes: its peaks, heaviest first.
         inside: probability that it does.
         motion: ``(D,)`` the motion that it was carried on by, without odometry's known errors;
             None: before the first image, or nobody knows.
@@ -57,6 +59,7 @@ class Update:
     """
 
     belief: Belief
+    modes: tuple[Mode, ...]
     inside: float
     motion: FloatArray | None
     position_sigma: float
@@ -161,7 +164,8 @@ class Condensation:
             largest = float(compressed(self._model.evidence(heaviest, fine)[0]))
             is_promising = max(evidence, largest) >= PROMISING
         sigmas = self._settings.motion.standard_deviations(self._model.space, motion)
-        return Update(self._belief, self._presence.inside, motion, *sigmas, is_promising)
+        modes = find_modes(self._belief)
+        return Update(self._belief, modes, self._presence.inside, motion, *sigmas, is_promising)
 
     @property
     def notes(self) -> tuple[str, ...]:
