@@ -136,7 +136,7 @@ $(SETS:%=$(DEPTH_MAPS)/%/scene.h5) $(DEPTH_MAPS)/hololens/scene.h5: | $(STAMP)
 	$(LFNAV) model $(<D) -o $@ --geometry depth $(DEPTH) --overwrite
 
 $(EXPERIMENTS)/channels/table.md: experiments/conditions/channels.toml $(CHANNEL_MAPS) \
-		$(foreach set,$(SETS),$(call images,$(set),test)) FORCE | $(STAMP)
+		$(TROUBLES) $(foreach set,$(SETS),$(call images,$(set),test)) FORCE | $(STAMP)
 	$(trust) $(if $(DAYS),--data $(DAYS))
 
 # Runs and scenes are results, not stepping stones that may be deleted.

@@ -361,7 +361,7 @@ def test_the_projects_conditions_name_what_make_makes(name: str, tmp_path: Path)
         assert condition.dataset.resolve().is_relative_to(tmp_path)
         if condition.starts:
             assert condition.settings.start_heading_sigma == pytest.approx(math.radians(10.0))
-    assert len(chosen.conditions) == (17 if name == "trust" else 6)
+    assert len(chosen.conditions) == (17 if name == "trust" else 7)
     # All there are; or as the settings say.
     assert set(chosen.conditions[0].channels) == (set() if name == "trust" else set(Channels))
     # No path leads out of the project.
