@@ -17,6 +17,8 @@
 #   sample_data/elevators/test                            -> out/experiments/troubles/
 #   scenes, drives, conditions/trust.toml                 -> out/experiments/trust/table.md
 #   scene of elevators, DAYS=FOLDER, conditions/days.toml -> out/experiments/days/table.md
+#   sample_data/SET/map, DAYS/hololens/map                -> out/experiments/depth-maps/SET/scene.h5
+#   all scenes, DAYS=FOLDER, conditions/channels.toml     -> out/experiments/channels/table.md
 
 EXPERIMENTS := out/experiments
 SETTINGS := experiments/settings
@@ -111,6 +113,30 @@ $(EXPERIMENTS)/trust/table.md: experiments/conditions/trust.toml $(SETS:%=$(EXPE
 	$(trust)
 
 $(EXPERIMENTS)/days/table.md: experiments/conditions/days.toml $(EXPERIMENTS)/elevators/scene.h5 FORCE | $(STAMP)
+	$(trust) $(if $(DAYS),--data $(DAYS))
+
+# What of the images is best compared: also in maps with depth at poses by structure from motion.
+DEPTH_MAPS := $(EXPERIMENTS)/depth-maps
+HOLOLENS := $(if $(DAYS),$(wildcard $(DAYS)/hololens/map/groundtruth.txt))
+CHANNEL_MAPS := $(SETS:%=$(EXPERIMENTS)/%/scene.h5) $(SETS:%=$(DEPTH_MAPS)/%/scene.h5) \
+	$(if $(HOLOLENS),$(DEPTH_MAPS)/hololens/scene.h5)
+
+$(DEPTH_MAPS)/elevators/map/reconstruction.json: $(call images,elevators,map) \
+		$(DATA)/elevators/map/odometry.txt | $(STAMP)
+	$(LFNAV) reconstruct $(DATA)/elevators/map -o $(@D) --method sfm --planar --overwrite
+
+$(DEPTH_MAPS)/hololens/map/reconstruction.json: $(HOLOLENS) | $(STAMP)
+	$(LFNAV) reconstruct $(DAYS)/hololens/map -o $(@D) --method poses --poses $< --overwrite
+
+$(DEPTH_MAPS)/elevators/scene.h5: $(DEPTH_MAPS)/elevators/map/reconstruction.json
+$(DEPTH_MAPS)/workshop/scene.h5: $(EXPERIMENTS)/workshop/map/reconstruction.json
+$(DEPTH_MAPS)/hololens/scene.h5: $(DEPTH_MAPS)/hololens/map/reconstruction.json
+$(DEPTH_MAPS)/hololens/scene.h5: DEPTH := --depth given
+$(SETS:%=$(DEPTH_MAPS)/%/scene.h5) $(DEPTH_MAPS)/hololens/scene.h5: | $(STAMP)
+	$(LFNAV) model $(<D) -o $@ --geometry depth $(DEPTH) --overwrite
+
+$(EXPERIMENTS)/channels/table.md: experiments/conditions/channels.toml $(CHANNEL_MAPS) \
+		$(TROUBLES) $(foreach set,$(SETS),$(call images,$(set),test)) FORCE | $(STAMP)
 	$(trust) $(if $(DAYS),--data $(DAYS))
 
 # Runs and scenes are results, not stepping stones that may be deleted.

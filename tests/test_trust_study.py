@@ -3,6 +3,7 @@
 import json
 import math
 import runpy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +19,12 @@ from pipelines.experiments.disturbed_drives import disturbances
 from pipelines.experiments.troubles import troubles
 from pipelines.experiments.trust_conditions import TrustConditions, read_trust_conditions
 from pipelines.experiments.trust_stage import study_trust
-from pipelines.experiments.trust_study import disturbed_starts, rows_of
+from pipelines.experiments.trust_study import disturbed_starts, rows_of, tasks_of
 from pipelines.experiments.trust_table import as_json, as_markdown, sums_of
 from pipelines.geometry.pose import world_from_base_planar
 from pipelines.geometry.trajectory import Trajectory, format_tum
 from pipelines.lightfield.bundle import save_scene
+from pipelines.lightfield.channels import Channels
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import PLANAR
 from tests.drive_samples import SCENE, TRUTH
@@ -184,6 +186,29 @@ def test_two_processes_find_the_same(folder: Path, result: tuple[Path, TrustCond
     assert [row.name for row in sums_of(rows[:1])] == ["all, in the map"]
 
 
+def test_each_choice_of_channels_has_a_row_and_a_sum(folder: Path) -> None:
+    text = CONDITIONS.replace("[study]", '[study]\nchannels = ["colour", "mixed"]', 1)
+    text = text.replace('["odometry.txt"]', '["odometry.txt"]\nmethod = ["filter", "pnp"]', 1)
+    (folder / "channels.toml").write_text(text)
+    along = read_trust_conditions(folder / "channels.toml", seeds="0").conditions[0]
+    tasks = tasks_of([along], 1)
+    names = ["filter, colour", "filter, mixed", "pnp"]
+    assert [task.method_name for task in tasks] == names
+    assert [task.settings.likelihood.channels for task in tasks[:2]] == [
+        Channels.COLOUR,
+        Channels.MIXED,
+    ]
+    # Nothing else of the comparison has changed.
+    for task in tasks[:2]:
+        likelihood = replace(task.settings.likelihood, channels=Channels.CONTRAST)
+        assert likelihood == along.settings.likelihood
+    rows = rows_of([replace(along, methods=("filter",))], workers=1, progress=no_progress)
+    assert [row.method for row in rows] == names[:2]
+    assert [row.method for row in sums_of(rows)] == names[:2]
+    assert rows[0].trust.position_errors.tolist() != rows[1].trust.position_errors.tolist()
+    assert min(row.trust.right.sum() for row in rows) >= FRAMES - 1
+
+
 def test_data_are_looked_for_where_they_are_said_to_be(folder: Path, tmp_path: Path) -> None:
     write_drive(tmp_path / "days/noise", is_noise=True)
     chosen = read_trust_conditions(folder / "study.toml", data=tmp_path, seeds="7")
@@ -265,6 +290,10 @@ def test_what_cannot_be_run_is_said(folder: Path) -> None:
         ('odometry = ["odometry.txt"]', 'odometry = "o"\nmethod = "ekf"', "one of filter, pnp"),
         ('odometry = ["odometry.txt"]', "odometry = [1]", "odometry is not a list of file names"),
         ('seeds = "0-1"', 'seeds = "a"', "study. seeds: 'a' is no seed"),
+        ('"0-1"', '"0-1"\nchannels = ["red"]', "channels are not some of colour, contrast, gradi"),
+        ('"0-1"', '"0-1"\nchannels = [1]', "channels are not some of colour"),
+        ('"0-1"', '"0-1"\nchannels = []', "channels is empty"),
+        ('"0-1"', '"0-1"\nchannels = ["mixed", "mixed"]', "channels: mixed is there twice"),
         ("[study]", "[studies]", "unknown key 'studies' in the file"),
         ("[filter]", '[filter]\nmethod = "pnp"', "its method stands in"),
     ],
@@ -304,7 +333,7 @@ def test_the_script_prints_the_table_or_one_line(
     assert "| another day | odometry.txt | filter | - | 0.0 |" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name", ["trust", "days"])
+@pytest.mark.parametrize("name", ["trust", "days", "channels"])
 def test_the_projects_conditions_name_what_make_makes(name: str, tmp_path: Path) -> None:
     text = (ROOT / f"experiments/conditions/{name}.toml").read_text()
     made = {
@@ -317,7 +346,7 @@ def test_the_projects_conditions_name_what_make_makes(name: str, tmp_path: Path)
         (tmp_path / drive).mkdir(parents=True)
         if has_truth:
             (tmp_path / drive / "groundtruth.txt").touch()
-    for scene in ("elevators", "workshop"):
+    for scene in ("elevators", "workshop", "depth-maps/elevators", "depth-maps/workshop"):
         (tmp_path / "out/experiments" / scene).mkdir(parents=True, exist_ok=True)
         (tmp_path / "out/experiments" / scene / "scene.h5").touch()
     path = tmp_path / f"experiments/conditions/{name}.toml"
@@ -332,6 +361,8 @@ def test_the_projects_conditions_name_what_make_makes(name: str, tmp_path: Path)
         assert condition.dataset.resolve().is_relative_to(tmp_path)
         if condition.starts:
             assert condition.settings.start_heading_sigma == pytest.approx(math.radians(10.0))
-    assert len(chosen.conditions) == 17
+    assert len(chosen.conditions) == (17 if name == "trust" else 7)
+    # All there are; or as the settings say.
+    assert set(chosen.conditions[0].channels) == (set() if name == "trust" else set(Channels))
     # No path leads out of the project.
     assert not [line for line in text.splitlines() if '"/' in line or '"../../../' in line]

@@ -3,6 +3,7 @@
 ```toml
 [study]
 seeds = "0-9"                            # or a list
+channels = ["contrast", "gradient"]      # optional: the filter runs with each of them
 
 [scenes]
 lobby = "../../out/scene.h5"             # relative to this file
@@ -45,6 +46,7 @@ from pipelines.experiments.config_tables import (
     read_seeds,
     refuse_twice,
 )
+from pipelines.lightfield.channels import Channels
 from pipelines.localize.config import (
     Choices,
     check_choices,
@@ -56,7 +58,7 @@ from pipelines.localize.config_keys import SECTIONS
 from pipelines.localize.settings import METHODS, LocalizerSettings
 from pipelines.localize.stage import NO_ODOMETRY
 
-STUDY_KEYS = ("seeds",)
+STUDY_KEYS = ("seeds", "channels")
 CONDITION_KEYS = (
     "name",
     "scene",
@@ -85,6 +87,7 @@ class Condition:
         settings: of the filter.
         is_elsewhere: whether the images show another place than the scene.
         starts: how often each frame is localized for itself; 0: the drive is, as a whole.
+        channels: in each of which the filter compares images; empty: as the settings say.
     """
 
     name: str
@@ -96,6 +99,7 @@ class Condition:
     settings: LocalizerSettings
     is_elsewhere: bool
     starts: int
+    channels: tuple[Channels, ...]
 
 
 @dataclass(frozen=True)
@@ -137,6 +141,7 @@ def read_trust_conditions(
     checked_table(path, content, "the file", known)
     study = checked_table(path, content.get("study", {}), "[study]", STUDY_KEYS)
     usual = named_seeds(seeds) if seeds is not None else read_seeds(path, "[study]", study)
+    channels = _channels(path, study)
     base = read_choices(path, rest)
     check_choices(path, base)
     places = _scenes(path, content.get("scenes", {}), scenes or {})
@@ -159,6 +164,7 @@ def read_trust_conditions(
             settings=_settings(path, place, values, base),
             is_elsewhere=_flag(path, place, values, "elsewhere"),
             starts=_count(path, place, values, "starts"),
+            channels=channels,
         )
         condition = replace(condition, odometry=_odometry(path, place, values, condition.dataset))
         _check(path, place, condition)
@@ -230,6 +236,17 @@ def _methods(path: Path, place: str, values: Mapping[str, Any]) -> tuple[str, ..
             raise InputError(path, f"{place}: method is not one of {', '.join(METHODS)}")
     refuse_twice(path, f"{place}: method", methods)
     return tuple(methods)
+
+
+def _channels(path: Path, study: Mapping[str, Any]) -> tuple[Channels, ...]:
+    if "channels" not in study:
+        return ()
+    known = {member.value: member for member in Channels}
+    names = checked_list(path, "[study] channels", study["channels"])
+    if not all(isinstance(name, str) and name in known for name in names):
+        raise InputError(path, f"[study] channels are not some of {', '.join(known)}")
+    refuse_twice(path, "[study] channels", names)
+    return tuple(known[name] for name in names)
 
 
 def _settings(

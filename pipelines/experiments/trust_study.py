@@ -22,6 +22,7 @@ from pipelines.dataset.dataset import (
 from pipelines.experiments.sweep_result import judged
 from pipelines.experiments.trust_conditions import Condition
 from pipelines.lightfield.bundle import load_scene
+from pipelines.lightfield.channels import Channels
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.run import Run
 from pipelines.localize.settings import LocalizerSettings
@@ -37,12 +38,14 @@ class Task:
         condition: drive and circumstances.
         odometry: one of its files.
         method: one of its methods.
+        channels: one of its channels; None: as its settings say.
         threads: of the filter.
     """
 
     condition: Condition
     odometry: Path | None
     method: str
+    channels: Channels | None
     threads: int
 
     @property
@@ -52,6 +55,21 @@ class Task:
             return "-"
         return ODOMETRY_FILE if self.odometry is None else self.odometry.name
 
+    @property
+    def method_name(self) -> str:
+        """What the table calls the method."""
+        return self.method if self.channels is None else f"{self.method}, {self.channels.value}"
+
+    @property
+    def settings(self) -> LocalizerSettings:
+        """The condition's, with this method and these channels."""
+        own = replace(self.condition.settings, threads=self.threads)
+        if self.method == "pnp":
+            return replace(own, method="pnp", with_pnp=False, proposal="appearance", start=None)
+        if self.channels is None:
+            return own
+        return replace(own, likelihood=replace(own.likelihood, channels=self.channels))
+
 
 @dataclass(frozen=True)
 class Row:
@@ -60,7 +78,7 @@ class Row:
     Attributes:
         name: of the condition.
         odometry: name of the file.
-        method: ``filter`` or ``pnp``.
+        method: ``filter`` or ``pnp``, and the channels that the condition names.
         is_elsewhere: whether the images show another place.
         successes: how many runs succeeded; None where none can.
         trust: the frames of all runs.
@@ -90,7 +108,7 @@ def rows_of(
     """Makes all runs.
 
     Args:
-        conditions: of which each gives a row for each odometry file and method.
+        conditions: of which each gives a row for each odometry file, method and choice of channels.
         workers: processes; 1: this one.
         progress: told how far the work is.
 
@@ -112,12 +130,13 @@ def rows_of(
 
 
 def tasks_of(conditions: Sequence[Condition], threads: int) -> tuple[Task, ...]:
-    """The rows of the table: PnP uses no odometry, and has one however many files there are."""
+    """The rows of the table: PnP uses neither odometry nor channels, and has one all the same."""
     return tuple(
-        Task(condition, odometry, method, threads)
+        Task(condition, odometry, method, channels, threads)
         for condition in conditions
         for method in condition.methods
         for odometry in (condition.odometry[:1] if method == "pnp" else condition.odometry)
+        for channels in ((None,) if method == "pnp" else condition.channels or (None,))
     )
 
 
@@ -134,14 +153,9 @@ def row_of(task: Task) -> Row:
     dataset = load_dataset(condition.dataset, odometry=None if is_without else task.odometry)
     if is_without:
         dataset = replace(dataset, odometry=None)
-    settings = replace(condition.settings, threads=task.threads)
-    if task.method == "pnp":
-        settings = replace(
-            settings, method="pnp", with_pnp=False, proposal="appearance", start=None
-        )
     source = condition.dataset / ODOMETRY_FILE if task.odometry is None else task.odometry
     successes, parts = 0, []
-    for run in _runs(scene, dataset, settings, task, source):
+    for run in _runs(scene, dataset, task.settings, task, source):
         if condition.is_elsewhere:
             parts.append(trust_elsewhere(run))
             continue
@@ -152,7 +166,7 @@ def row_of(task: Task) -> Row:
     return Row(
         condition.name,
         task.odometry_name,
-        task.method,
+        task.method_name,
         condition.is_elsewhere,
         None if condition.is_elsewhere else successes,
         pooled(parts),
