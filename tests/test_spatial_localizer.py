@@ -1,16 +1,24 @@
 """Six degrees of freedom: a camera held in the hand before the painted wall."""
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from pipelines.artifacts.array_types import FloatArray
+from pipelines.dataset.images import encode_png
 from pipelines.geometry.pose import inverse, world_from_base_planar
+from pipelines.lightfield.bundle import identifier_of
+from pipelines.lightfield.scene import Scene
 from pipelines.localize.localizer import Localizer
+from pipelines.localize.measurement_model import MeasurementModel
+from pipelines.localize.observation import Observer
 from pipelines.localize.run import FrameRecord
 from pipelines.localize.state_space import SPATIAL
 from tests.drive_samples import BLACK, SCENE, TRUTH, content, informed_settings
+from tests.lightfield_samples import looking
 from tests.report_samples import CAMERA, MOUNT, photo_from
 
 
@@ -143,3 +151,87 @@ def test_the_mount_stands_between_body_and_camera() -> None:
     record = drone.step(IMAGES[0])
     camera = SPATIAL.poses(record.estimates["refined"]) @ MOUNT
     assert np.linalg.norm(camera[:3, 3] - POSES[0][:3, 3]) < 0.02
+
+
+# --- a car: 1.1 m from image to image, and no odometry -------------------------------------------
+
+
+def facade(x: FloatArray, z: FloatArray) -> FloatArray:
+    """RGB ``(..., 3)`` of a wall that nowhere repeats itself."""
+    shades = [
+        np.sin(1.3 * x + 0.7 * z) + np.sin(0.44 * x) + np.sin(2.9 * z + 0.011 * x**2),
+        np.cos(0.9 * x - 1.7 * z) + np.sin(0.017 * x**2) + np.sin(0.43 * x + 2.3 * z),
+        np.sin(2.1 * z - 1.9 * x) + np.cos(0.023 * x**2 + z) + np.sin(0.71 * x),
+    ]
+    return 128.0 + 40.0 * np.stack(shades, axis=-1)
+
+
+def on_the_street(x: float, sway: float) -> FloatArray:
+    """``(4, 4)`` of a camera at the windscreen that looks half forward, half at the houses."""
+    return looking([x, -4.0 + 0.3 * sway, 1.0 + 0.05 * sway], [x + 4.0, 0.0, 1.0 + 0.1 * sway])
+
+
+def street(spacing: float = 2.0) -> Scene:
+    """A photo every few metres, over sixty metres."""
+    poses = np.array([on_the_street(x, 0.0) for x in np.arange(0.0, 61.0, spacing)])
+    images = tuple(encode_png(photo_from(pose, paint=facade)) for pose in poses)
+    index = np.zeros(len(poses), dtype=np.int64)
+    return replace(
+        SCENE,
+        image_names=tuple(f"{number}.png" for number in range(len(poses))),
+        encoded_images=images,
+        timestamps=np.arange(float(len(poses))),
+        camera_index=index,
+        world_from_camera=poses,
+        base_from_camera=None,
+        bounds=np.array([-1.0, 65.0, -6.0, 0.0]),
+        identifier=identifier_of(images, SCENE.cameras, index, poses, SCENE.surface, None),
+    )
+
+
+def alone(seed: int, spacing: float, steps: Sequence[float]) -> tuple[int, int]:
+    """How many images of a drive by these steps, in metres, are followed, and how many wrongly."""
+    truth = [on_the_street(x, np.sin(x / 4.0)) for x in 3.3 + np.cumsum(steps)]
+    chosen = informed_settings(degrees_of_freedom=6, particles=100)
+    car = Localizer(street(spacing), CAMERA, np.eye(4), chosen, np.random.default_rng(seed))
+    followed, wrong = 0, 0
+    for pose in truth:
+        record = car.step(photo_from(pose, paint=facade))
+        if record.status == "tracking":
+            best = record.estimates.get("refined", record.estimates["mode"])
+            followed += 1
+            wrong += bool(np.linalg.norm(best[:3] - pose[:3, 3]) > 0.2)
+    return followed, wrong
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_car_is_followed_by_its_images_alone(seed: int) -> None:
+    # It drives, stands in front of a light for three images, and drives on at once.
+    steps = [0.0] + [1.1] * 9 + [0.0] * 3 + [1.1] * 8
+    followed, wrong = alone(seed, 2.0, steps)
+    assert wrong == 0
+    assert followed >= 0.9 * len(steps)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_car_that_brakes_hard_is_found_again_or_not_at_all(seed: int) -> None:
+    # Photos are farther apart than it drives, and from full speed it stands: another house,
+    # metres away, fits more than half as well as this one does.
+    steps = [0.0] + [1.1] * 6 + [2.6] * 2 + [0.0] * 3 + [2.5] * 3
+    followed, wrong = alone(seed, 6.0, steps)
+    assert wrong == 0
+    assert followed >= 0.8 * len(steps)
+
+
+def test_a_speed_that_goes_on_is_no_measurement() -> None:
+    """The estimate is that of the image, wherever the speed so far would have led."""
+    chosen = informed_settings(degrees_of_freedom=6, **NEAR)
+    model = MeasurementModel.of_scene(SCENE, np.eye(4), chosen)
+    camera = Localizer(SCENE, CAMERA, np.eye(4), chosen, np.random.default_rng(0), model)
+    observer = Observer(CAMERA, chosen.widths, None)
+    for image in IMAGES[:4]:
+        record = camera.step(image)
+        observations = observer(image)
+        widths = [width for width in chosen.widths if width >= chosen.fine_width]
+        by_image = model.aligned(record.estimates["mode"], observations, widths)
+        np.testing.assert_array_equal(record.estimates["refined"], by_image.state)

@@ -32,6 +32,16 @@ from pipelines.localize.search import GLANCE, THOROUGH, Search
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import StateSpace, sigmas_of
 from pipelines.localize.strategies import PROMISING, Update
+from pipelines.localize.walking import (
+    FITTING_SHARE,
+    PROVING_SHARE,
+    SPEED_CHANGE,
+    SPEED_GROWTHS,
+    UNKNOWN_MOTION_SEARCHED,
+    UNKNOWN_MOTION_SHARE,
+    UsualFit,
+    widened,
+)
 
 # Hypotheses that are aligned in a search, and peaks that are followed.
 SEARCHED, FOLLOWED = 20, 6
@@ -56,12 +66,6 @@ UNDECIDED_MODE_SHARE = 0.95
 # An image that says less than this share of what images usually say raises the question whether the
 # body is somewhere else.
 DOUBTFUL_SHARE, USUAL_RATE = 0.5, 0.2
-# Where nobody knows the motion, it is taken to go on as between the last two images, give or take
-# this share of it; when the image does not fit, so many times that, and the body may be anywhere
-# with this probability: a hand turns a camera by half its view in a moment. Every image
-# is looked up all over the map as well, though more briefly.
-SPEED_CHANGE, SPEED_GROWTH = 0.5, 4.0
-UNKNOWN_MOTION_SHARE, UNKNOWN_MOTION_SEARCHED = 0.1, 8
 # The proposal is this much wider than the likelihood, and never narrower than metres and radians.
 WIDENING = 1.5
 SMALLEST_POSITION, SMALLEST_ANGLE = 0.005, math.radians(0.15)
@@ -72,11 +76,19 @@ LARGEST_POSITION, LARGEST_ANGLE = 0.3, math.radians(10.0)
 
 @dataclass(frozen=True)
 class _Weighted:
-    """A belief, what the image said for the map, and for the place that it fits best."""
+    """What an image makes of a prior.
+
+    Attributes:
+        belief: the posterior.
+        evidence: of the image for the map.
+        largest: for the place that it fits best.
+        explained: how much of the image the heaviest particle explains; known where it matters.
+    """
 
     belief: Belief
     evidence: float
     largest: float
+    explained: float = 1.0
 
 
 class Informed:
@@ -108,8 +120,10 @@ class Informed:
         self._modes: tuple[Mode, ...] = ()
         self._presence = Presence()
         self._faults = CameraFaults()
+        self._faults_are_known = False
         self._start_was_contradicted = False
         self._usual: float | None = None
+        self._usual_fit = UsualFit()
         self._calibration = uncalibrated(model.space.dimension)
         self._increment: FloatArray | None = None
         self._velocity: FloatArray | None = None
@@ -138,6 +152,7 @@ class Informed:
         if self._belief is not None:
             motion = checked_increment(self._space, increment)
         self._increment, self._last_estimate, self._estimate = motion, self._estimate, None
+        self._faults_are_known = False
         before = self._presence if self._belief is None else self._presence.predicted()
         prediction = self._prediction(motion, before)
         if not observations.is_informative:
@@ -145,17 +160,26 @@ class Informed:
             return self._update(self._belief, prediction, motion)
         weighted = self._weighted(prediction, observations)
         share = self._doubt(weighted.evidence, before, observations)
-        if share > prediction.anywhere_share:
+        if self._is_walking:
+            weighted = self._explained(weighted, prediction, before, observations)
+        elif share > prediction.anywhere_share:
             # The image does not fit where the body was thought to be: look everywhere at once.
             is_start = self._belief is None and self._settings.start is not None
             self._start_was_contradicted = self._start_was_contradicted or is_start
-            weighted = self._weighted(self._widened(prediction, share), observations)
+            wide = replace(prediction, anywhere_share=share)
+            weighted = self._weighted(wide, observations)
         self._presence = before.updated(weighted.evidence)
-        self._belief = weighted.belief
+        proves_nothing = self._is_walking and self._usual_fit.is_poor(
+            weighted.explained, PROVING_SHARE
+        )
         if self._presence.inside >= PRESENT:
             usual = weighted.evidence if self._usual is None else self._usual
             self._usual = usual + USUAL_RATE * (weighted.evidence - usual)
-        return self._update(self._belief, prediction, motion, weighted.largest)
+            if self._is_walking:
+                self._usual_fit = self._usual_fit.updated(weighted.explained)
+        self._belief = weighted.belief
+        update = self._update(self._belief, prediction, motion, weighted.largest)
+        return replace(update, proves_nothing=proves_nothing)
 
     def _update(
         self,
@@ -170,22 +194,34 @@ class Informed:
             belief,
             self._modes,
             self._presence.inside * self._faults.none,
-            self._velocity if motion is None else self._calibration.corrected(motion),
+            None if motion is None else self._calibration.corrected(motion),
             prediction.position_sigma,
             prediction.angle_sigma,
             largest >= PROMISING,
         )
 
-    def _widened(self, prediction: Prediction, anywhere_share: float) -> Prediction:
-        """The prior when the image does not fit where the body was thought to be."""
-        if not self._is_walking:
-            return replace(prediction, anywhere_share=anywhere_share)
-        return replace(
-            prediction,
-            position_sigma=SPEED_GROWTH * prediction.position_sigma,
-            angle_sigma=min(SPEED_GROWTH * prediction.angle_sigma, math.pi / 2.0),
-            anywhere_share=max(anywhere_share, 2.0 * UNKNOWN_MOTION_SHARE),
-        )
+    def _explained(
+        self,
+        weighted: _Weighted,
+        prediction: Prediction,
+        before: Presence,
+        observations: Observations,
+    ) -> _Weighted:
+        """What the likeliest of several motions makes of an image, where nobody knows the motion.
+
+        The motion may be farther and farther from what it was taken to be, until the image says as
+        much as images usually do.
+        """
+        wider = prediction
+        # The whole map was searched already where the body is lost.
+        for _ in range(0 if self._searches(prediction) else SPEED_GROWTHS):
+            share = self._doubt(weighted.evidence, before, observations)
+            if share == 0.0 and not self._usual_fit.is_poor(weighted.explained, FITTING_SHARE):
+                break
+            wider = widened(wider, share)
+            then = self._weighted(wider, observations)
+            weighted = then if then.evidence > weighted.evidence else weighted
+        return weighted
 
     def _doubt(self, evidence: float, before: Presence, observations: Observations) -> float:
         """How likely it is that the body is somewhere else, after an image with this evidence.
@@ -220,7 +256,6 @@ class Informed:
         """Compares the motion between two estimates with odometry; without any, keeps it."""
         space, before, motion = self._space, self._last_estimate, self._increment
         self._estimate = estimate
-        self._velocity = None
         if before is None:
             return
         poses = space.poses(np.stack([before, estimate]))
@@ -322,10 +357,14 @@ class Informed:
             # The image speaks against all alike: what was believed before it stands.
             log_weights, _ = normalise_log_weights(correction)
         belief = Belief(states, log_weights)
+        explained = 1.0
+        if self._is_walking:
+            heaviest = belief.states[int(np.argmax(belief.log_weights))]
+            explained = self._model.explained(heaviest, observation)
         if self._model.is_absolute:
-            return _Weighted(belief, image.marginal, image.largest)
+            return _Weighted(belief, image.marginal, image.largest, explained)
         marginal = self._model.marginal_evidence(belief, prior, observation)
-        return _Weighted(belief, marginal, marginal)
+        return _Weighted(belief, marginal, marginal, explained)
 
     def _count(self, prediction: Prediction) -> int:
         settings = self._settings
@@ -388,16 +427,21 @@ class Informed:
     def _lookalikes(
         self, prediction: Prediction, observations: Observations, count: int
     ) -> FloatArray:
-        """States ``(count, D)`` from which the scene looks like the image."""
+        """States ``(K, D)`` from which the scene looks like the image, ``count`` a gallery."""
         search, is_search = self._search, self._searches(prediction)
-        if self._belief is None and prediction.anywhere_share == 0.0:
-            gallery = search.around(prediction, observations)
-        else:
-            gallery = search.everywhere(observations)
+        is_near = self._belief is None and prediction.anywhere_share == 0.0
+        galleries = [] if is_near else [search.everywhere(observations)]
+        if is_near or (is_search and self._is_walking):
+            # The map's own places are too far apart to be sure to have one where it may have gone.
+            galleries.append(search.around(prediction, observations))
         effort = THOROUGH if is_search else GLANCE
-        states, evidence = search.found(gallery, observations, effort)
-        if is_search and self._settings.start is None:
+        found = []
+        for gallery in galleries:
+            states, evidence = search.found(gallery, observations, effort)
+            found.append(search.distinct(gallery, states, evidence, count))
+        if is_search and self._settings.start is None and not self._faults_are_known:
+            self._faults_are_known = self._is_walking
             self._faults = self._faults.updated(
-                lambda image: search.most_evidence(gallery, image), observations
+                lambda image: search.most_evidence(galleries[0], image), observations
             )
-        return search.distinct(gallery, states, evidence, count)
+        return np.concatenate(found)

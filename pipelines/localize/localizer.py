@@ -259,7 +259,8 @@ class Localizer:
             return "stale"
         is_likely = update.inside * main.share >= TRACKING_PROBABILITY and _is_narrow(main)
         self._likely_images = self._likely_images + 1 if is_likely else 0
-        if is_likely and self._is_confirmed(main, observations):
+        is_proven = not update.proves_nothing
+        if is_likely and is_proven and self._is_confirmed(main, observations):
             self._has_been_found = True
             return "tracking"
         is_search = (update.is_promising or is_likely) and not self._has_been_found

@@ -51,11 +51,14 @@ class Update:
         belief: where the body is, if the image shows the map.
         modes: its peaks, heaviest first.
         inside: probability that it does.
-        motion: ``(D,)`` the motion that it was carried on by, without odometry's known errors;
-            None: before the first image, or nobody knows.
+        motion: ``(D,)`` the measured motion that it was carried on by, without odometry's known
+            errors; None: before the first image, or nobody knows. A speed that is taken to go on is
+            a place to look, and no measurement.
         position_sigma: of that motion's noise along each axis, metres.
         angle_sigma: of its angles, radians.
         is_promising: whether the image fits some place, although that is not yet probable.
+        proves_nothing: whether nothing but the image says where the body is, and it is explained
+            much less than images usually are.
     """
 
     belief: Belief
@@ -65,6 +68,7 @@ class Update:
     position_sigma: float
     angle_sigma: float
     is_promising: bool = False
+    proves_nothing: bool = False
 
 
 class Strategy(Protocol):
