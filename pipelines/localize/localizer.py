@@ -26,7 +26,7 @@ from pipelines.localize.estimate import (
     modes_table,
 )
 from pipelines.localize.informed import Informed
-from pipelines.localize.measurement_model import MeasurementModel
+from pipelines.localize.measurement_model import LEAST_EXPLAINED, MeasurementModel
 from pipelines.localize.motion import checked_increment
 from pipelines.localize.observation import Observations, Observer
 from pipelines.localize.run import FrameRecord
@@ -41,6 +41,8 @@ TRACKING_PROBABILITY = 0.9
 # A body that has not been found yet is followed after so many such images running, or one of which
 # this share is explained (``MeasurementModel.explained``); less of it where a start pose is given.
 CONFIRMING_IMAGES, CONFIRMING_SHARE, STARTING_SHARE = 2, 0.4, 0.25
+# States whose evidence differs by less, or by less than this share, fit an image equally well.
+EVEN, EVEN_SHARE = 1.0, 0.03
 # It is lost while the image more probably does not show the map at all.
 LOST_PROBABILITY = 0.5
 TRACKING_POSITION, TRACKING_HEADING = 0.35, math.radians(10.0)
@@ -204,11 +206,22 @@ class Localizer:
 
         A place may have aliases all over the map, which fit one image tolerably.
         """
-        if self._has_been_found or self._likely_images >= CONFIRMING_IMAGES:
+        if self._has_been_found:
             return True
+        state = self._model.aligned(main.state, observations, self._alignment_widths).state
+        if not self._is_same_place(state, main.state):
+            state = main.state
         fine = observations.by_width[self.settings.fine_width]
+        share = self._model.explained(state, fine)
+        # A place of which the image shows nothing is not spoken for.
+        self._likely_images = self._likely_images + 1 if share > LEAST_EXPLAINED else 0
         least = CONFIRMING_SHARE if self.settings.start is None else STARTING_SHARE
-        return self._model.explained(main.state, fine) >= least
+        return self._likely_images >= CONFIRMING_IMAGES or share >= least
+
+    @property
+    def _alignment_widths(self) -> list[int]:
+        """Widths of the images, coarse to fine, in which states are aligned."""
+        return [width for width in self.settings.widths if width >= self.settings.fine_width]
 
     def _predicted_track(self, update: Update) -> Track | None:
         """The track after the motion before this image."""
@@ -225,7 +238,7 @@ class Localizer:
         ):
             track = None
         start = main.state if track is None else track.state
-        widths = [width for width in self.settings.widths if width >= self.settings.fine_width]
+        widths = self._alignment_widths
         aligned = self._model.aligned(start, observations, widths)
         is_usable = math.isfinite(aligned.error) and bool(np.all(np.isfinite(aligned.covariance)))
         # Where light or contents have changed, errors are larger than an image's own tiles tell.
@@ -238,12 +251,19 @@ class Localizer:
             if not (is_usable and self._is_same_place(aligned.state, main.state)):
                 return None
             return Track(aligned.state, doubt * aligned.covariance, 0, aligned.state)
+        # What is minimised is not what says where the body is: an alignment that loses evidence
+        # has given up what fits for a compromise with what does not.
+        finest = observations.by_width[widths[-1]]
+        before = float(self._model.evidence(start[None], finest)[0])
+        least = before - max(EVEN, EVEN_SHARE * abs(before))
+        is_better = is_usable and self._model.evidence(aligned.state[None], finest)[0] >= least
         # An image that is explained less counts less, but is left out as soon as any other.
-        if is_usable and track.accepts(self.space, aligned, usual):
+        if is_better and track.accepts(self.space, aligned, usual):
             return track.updated(self.space, aligned, doubt)
-        return track.held(
-            self.space, self._model.aligned(start, observations, widths, track.prior(doubt))
-        )
+        held = self._model.aligned(start, observations, widths, track.prior(doubt))
+        if self._model.evidence(held.state[None], finest)[0] < least:
+            return track.without_image()
+        return track.held(self.space, held)
 
     def _is_same_place(self, state: FloatArray, other: FloatArray) -> bool:
         """Whether two states are not farther apart than a followed mode is wide."""
@@ -258,9 +278,9 @@ class Localizer:
         if observations.is_stale:
             return "stale"
         is_likely = update.inside * main.share >= TRACKING_PROBABILITY and _is_narrow(main)
-        self._likely_images = self._likely_images + 1 if is_likely else 0
-        is_proven = not update.proves_nothing
-        if is_likely and is_proven and self._is_confirmed(main, observations):
+        if not is_likely:
+            self._likely_images = 0
+        elif not update.proves_nothing and self._is_confirmed(main, observations):
             self._has_been_found = True
             return "tracking"
         is_search = (update.is_promising or is_likely) and not self._has_been_found

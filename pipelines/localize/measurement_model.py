@@ -39,7 +39,7 @@ class MeasurementModel:
 
     Args:
         colours: the photos, in colours.
-        renderers: of the photos in the channels that are compared, CONTRAST among them.
+        renderers: of the photos in the channels that are compared, those of evidence among them.
         space: what a state is.
         body_from_camera: ``(4, 4)`` the camera's mount.
         likelihood: how particles are weighted.

@@ -87,8 +87,12 @@ class Track:
         innovation = space.difference(aligned.state, self.state)
         distance = innovation @ np.linalg.solve(self.covariance, innovation)
         if not aligned.converged or float(distance) > _gate(space.dimension):
-            return replace(self, rejected=self.rejected + 1)
+            return self.without_image()
         return Track(aligned.state, aligned.covariance, self.rejected + 1)
+
+    def without_image(self) -> "Track":
+        """After an image that was left out."""
+        return replace(self, rejected=self.rejected + 1)
 
 
 def _gate(dimension: int) -> float:
