@@ -180,7 +180,7 @@ class Localizer:
             self._track = self._followed(main, observations)
             if self._track is not None:
                 estimates["refined"] = self._track.state
-                covariance = self._track.covariance + self._map_covariance
+                covariance = self._track.blur * self._track.covariance + self._map_covariance
         if status == "tracking" and self._track is not None and self._track.measured is not None:
             self._strategy.learn(self._track.measured)
         probability = update.inside * main.share if observations.is_informative else 0.0
@@ -243,14 +243,19 @@ class Localizer:
         is_usable = math.isfinite(aligned.error) and bool(np.all(np.isfinite(aligned.covariance)))
         # Where light or contents have changed, errors are larger than an image's own tiles tell.
         # Where the image was aligned: at the prediction it would be motion that is not explained.
-        fine = observations.by_width[self.settings.fine_width]
+        shares = [
+            self._model.explained(aligned.state, observations.by_width[width]) for width in widths
+        ]
         usual = MODEL_ERROR**2
-        doubt = usual / self._model.explained(aligned.state, fine) ** 2
+        doubt = usual / shares[0] ** 2
+        # A blurred image is explained from afar, but aligned by its blurred details: errors of
+        # which the track knows nothing, since they are the same in the next image.
+        blur = max(1.0, shares[0] * len(shares) / sum(shares)) ** 2
         if track is None:
             # Another place is not a finer answer to the same question.
             if not (is_usable and self._is_same_place(aligned.state, main.state)):
                 return None
-            return Track(aligned.state, doubt * aligned.covariance, 0, aligned.state)
+            return Track(aligned.state, doubt * aligned.covariance, 0, aligned.state, blur)
         # What is minimised is not what says where the body is: an alignment that loses evidence
         # has given up what fits for a compromise with what does not.
         finest = observations.by_width[widths[-1]]
@@ -259,11 +264,11 @@ class Localizer:
         is_better = is_usable and self._model.evidence(aligned.state[None], finest)[0] >= least
         # An image that is explained less counts less, but is left out as soon as any other.
         if is_better and track.accepts(self.space, aligned, usual):
-            return track.updated(self.space, aligned, doubt)
+            return replace(track.updated(self.space, aligned, doubt), blur=blur)
         held = self._model.aligned(start, observations, widths, track.prior(doubt))
         if self._model.evidence(held.state[None], finest)[0] < least:
             return track.without_image()
-        return track.held(self.space, held)
+        return replace(track.held(self.space, held), blur=blur)
 
     def _is_same_place(self, state: FloatArray, other: FloatArray) -> bool:
         """Whether two states are not farther apart than a followed mode is wide."""

@@ -92,8 +92,8 @@ class LocalizerSettings:
     blending: Blending = Blending.UNSTRUCTURED
     quality: str | None = None
     estimate: str = "refined"
-    map_position_sigma: float = 0.015
-    map_heading_sigma: float = math.radians(0.4)
+    map_position_sigma: float = 0.01
+    map_heading_sigma: float = math.radians(0.25)
     threads: int | None = None
     device: Device = Device.AUTO
 

@@ -39,12 +39,14 @@ class Track:
         covariance: ``(D, D)`` of its error, the map's apart.
         rejected: alignments running that were left out.
         measured: ``(D,)`` where the last image alone had the body; None where it was not accepted.
+        blur: factor on the covariance for errors that are common to successive images.
     """
 
     state: FloatArray
     covariance: FloatArray
     rejected: int = 0
     measured: FloatArray | None = None
+    blur: float = 1.0
 
     def predicted(self, space: StateSpace, motion: FloatArray, sigmas: FloatArray) -> "Track":
         """After a motion ``(D,)`` in the body's frame with noise ``(D,)`` along each axis."""
