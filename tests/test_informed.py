@@ -97,8 +97,8 @@ def test_a_robot_is_found_and_followed_before_a_wall_without_edges() -> None:
         records = drive(localizer(informed_settings(), seed, scene), images=images)
         for record, truth in zip(records[2:], TRUTH[2:], strict=True):
             assert record.status == "tracking"
-            assert position_error(record, truth, "refined") < 0.12
-            assert heading_error(record, truth, "refined") < math.radians(4.0)
+            assert position_error(record, truth, "refined") < 0.05
+            assert heading_error(record, truth, "refined") < math.radians(1.5)
             error = record.estimates["refined"] - truth
             assert record.refined_covariance is not None
             assert error @ np.linalg.solve(record.refined_covariance, error) < 25.0

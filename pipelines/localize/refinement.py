@@ -31,8 +31,8 @@ from pipelines.localize.state_space import StateSpace
 
 # Beyond so many standard deviations an error is taken for something else (95 % efficiency).
 TUKEY = 4.685
-# Grey levels: rounding and sensor noise leave at least this.
-SMALLEST_SCALE = 10.0
+# Levels of the channels: rounding leaves about this, in a rendered view and in the image.
+SMALLEST_SCALE = 3.0
 # Fewer comparable pixels than this share of the image say nothing about the pose.
 SMALLEST_SHARE = 0.15
 LARGEST_STEP_METRES, LARGEST_STEP_RADIANS = 0.3, math.radians(8.0)
