@@ -32,7 +32,7 @@ SEED := 0
 # On a larger machine: make test TEST_WORKERS='-n 4 --dist loadfile'.
 TEST_WORKERS :=
 
-.PHONY: help install demo demo-sfm demo-dock test test-slow test-lowest lint format bench clean
+.PHONY: help install demo demo-sfm demo-dock test test-slow test-lowest test-sanitized lint format bench clean
 
 help:
 	@echo "make install      a virtual environment in $(VENV) with lfnav in it"
@@ -118,6 +118,10 @@ test-lowest:
 	$(PYTHON) -m venv --clear .venv-lowest
 	.ci/install .venv-lowest --constraint .ci/lowest-versions.txt
 	.venv-lowest/bin/python -m pytest $(TEST_WORKERS)
+
+# The C++ core with the compiler's sanitizers, in the tests that reach it.
+test-sanitized: $(STAMP)
+	.ci/test-sanitized $(VENV)
 
 lint: $(STAMP)
 	$(VENV_PYTHON) -m ruff check .
