@@ -12,6 +12,9 @@ STAMP := $(VENV)/.installed
 LFNAV := $(BIN)/lfnav
 VENV_PYTHON := $(BIN)/python
 
+# The C++ core: whatever needs the installation compiles anew what has changed of it.
+CORE := CMakeLists.txt $(wildcard native/*.cpp native/*.hpp)
+
 # The first interpreter that is new enough; 'make install PYTHON=/path/to/python' overrides.
 NEW_ENOUGH := import sys; sys.exit(sys.version_info < (3, 11))
 PYTHON = $(shell for name in python3 python3.13 python3.12 python3.11 python; do \
@@ -29,7 +32,7 @@ SEED := 0
 # On a larger machine: make test TEST_WORKERS='-n 4 --dist loadfile'.
 TEST_WORKERS :=
 
-.PHONY: help install demo demo-sfm demo-dock test test-slow test-lowest lint format bench clean
+.PHONY: help install demo demo-sfm demo-dock test test-slow test-lowest test-sanitized lint format bench clean
 
 help:
 	@echo "make install      a virtual environment in $(VENV) with lfnav in it"
@@ -38,7 +41,7 @@ help:
 	@echo "make demo-dock    docks a robot in the lobby whose camera images are path-traced -> $(DEMO_DOCK)/report/report.html"
 	@echo "make experiments  many seeds and settings -> out/experiments/*/table.md; makes only what is missing"
 	@echo "make test         the test suite; 'make test-slow' runs the slow tests"
-	@echo "make lint         ruff and mypy"
+	@echo "make lint         ruff, mypy and clang-format"
 	@echo "make bench        measures particles, frames, views, starting, memory, the graphics card"
 	@echo "make clean        removes out/ and caches; $(VENV) stays"
 
@@ -47,10 +50,10 @@ help:
 install: $(STAMP)
 
 # An environment without pip is the rest of an attempt that failed; it is made anew.
-$(STAMP): pyproject.toml
+$(STAMP): pyproject.toml $(CORE)
 	@test -n "$(PYTHON)" || { echo "lfnav needs Python 3.11 or newer; install it or say make PYTHON=/path/to/python" >&2; exit 1; }
 	@$(VENV_PYTHON) -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
-	$(VENV_PYTHON) -m pip install --quiet --editable '.[dev]'
+	.ci/install $(VENV) $(if $(filter pyproject.toml,$?),,--core-only)
 	@touch $@
 
 # ---------------------------------------------------------------------------- demonstrations
@@ -74,7 +77,7 @@ demo: $(STAMP)
 	@echo "== Done. Open $(CURDIR)/$(DEMO)/report/report.html in a browser, and $(DEMO)/dock-report/report.html beside it."
 
 demo-dock: $(STAMP)
-	$(BIN)/python -m pip install --quiet --editable '.[dev,sim]'
+	$(BIN)/python -m pip install --quiet --no-build-isolation --editable '.[dev,sim]'
 	@echo "== 1/4 Where was the camera when each map photo was taken? (from the photos and the odometry of a robot on a floor)"
 	$(LFNAV) reconstruct $(DATA)/elevators/map -o $(DEMO_DOCK)/map --method sfm --planar --overwrite
 	@echo "== 2/4 The scene model, with depth maps computed from the photos (a minute or two)"
@@ -113,17 +116,23 @@ test-slow: $(STAMP)
 # The lower bounds in pyproject.toml are the versions in this file; here they are tried.
 test-lowest:
 	$(PYTHON) -m venv --clear .venv-lowest
-	.venv-lowest/bin/python -m pip install --quiet --editable '.[dev]' --constraint .ci/lowest-versions.txt
+	.ci/install .venv-lowest --constraint .ci/lowest-versions.txt
 	.venv-lowest/bin/python -m pytest $(TEST_WORKERS)
+
+# The C++ core with the compiler's sanitizers, in the tests that reach it.
+test-sanitized: $(STAMP)
+	.ci/test-sanitized $(VENV)
 
 lint: $(STAMP)
 	$(VENV_PYTHON) -m ruff check .
 	$(VENV_PYTHON) -m ruff format --check .
 	$(VENV_PYTHON) -m mypy --strict
+	$(BIN)/clang-format --dry-run --Werror native/*.cpp native/*.hpp
 
 format: $(STAMP)
 	$(VENV_PYTHON) -m ruff check --fix .
 	$(VENV_PYTHON) -m ruff format .
+	$(BIN)/clang-format -i native/*.cpp native/*.hpp
 
 bench: $(STAMP)
 	$(VENV_PYTHON) -m benchmarks.run

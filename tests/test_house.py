@@ -1,6 +1,7 @@
 """The house: floors, a light front door, rooms of a readable size (see CONTRIBUTING.md)."""
 
 import ast
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,6 +23,10 @@ FLOORS = {
     "report": 6,
     "experiments": 6,
 }
+# The C++ core is a module, built from native/, that stands beside the packages' lowest floor.
+MODULE_FLOORS = {"native": 0}
+# Files of the core that may know of Python: its module, its arrays, and who hands them over.
+KNOWS_PYTHON = re.compile(r"module\.cpp|array_argument\.[ch]pp|\w+_binding\.[ch]pp")
 
 
 def modules_of(package: str) -> list[Path]:
@@ -36,6 +41,8 @@ PIPELINES = modules_of("pipelines")
 FRONT_DOOR = modules_of("lfnav_cli")
 every_pipelines_module = pytest.mark.parametrize("path", PIPELINES, ids=name_of)
 every_front_door_module = pytest.mark.parametrize("path", FRONT_DOOR, ids=name_of)
+NATIVE = sorted((ROOT / "native").glob("*.[ch]pp"))
+every_native_file = pytest.mark.parametrize("path", NATIVE, ids=name_of)
 every_module = pytest.mark.parametrize("path", PIPELINES + FRONT_DOOR, ids=name_of)
 
 
@@ -68,7 +75,7 @@ def floor_violations(tree: ast.Module, module: tuple[str, ...], is_package: bool
                 violations.append(f"line {node.lineno}: {name}")
             elif parts[0] != "pipelines" or len(parts) < 2 or parts[1] == package:
                 continue
-            elif FLOORS.get(parts[1], len(FLOORS)) >= floor:
+            elif (FLOORS | MODULE_FLOORS).get(parts[1], len(FLOORS)) >= floor:
                 violations.append(f"line {node.lineno}: {name}")
     return violations
 
@@ -105,6 +112,7 @@ def test_imports_go_down(path: Path) -> None:
         ("from pipelines.lightfield.net import Net", True),
         ("from . import net", True),
         ("import numpy", True),
+        ("from pipelines.native import robust_error", True),
         ("from pipelines.localize.run import Run", False),
         ("import pipelines.localize.run", False),
         ("from pipelines import localize", False),
@@ -173,9 +181,32 @@ def test_the_check_of_the_front_door_sees_heavy_imports(source: str, light: bool
     assert (heavy_imports(ast.parse(source)) == []) is light
 
 
-@every_module
+@pytest.mark.parametrize("path", PIPELINES + FRONT_DOOR + NATIVE, ids=name_of)
 def test_modules_are_of_a_readable_size(path: Path) -> None:
     assert len(path.read_text().splitlines()) <= MAX_MODULE_LINES
+
+
+@every_native_file
+def test_the_core_knows_python_only_where_it_is_bound(path: Path) -> None:
+    included = re.findall(r'#include [<"](.+)[>"]', path.read_text())
+    python = [name for name in included if name.startswith(("nanobind/", "Python.h"))]
+    assert not python or KNOWS_PYTHON.fullmatch(path.name)
+
+
+@pytest.mark.parametrize("path", [path for path in NATIVE if path.suffix == ".hpp"], ids=name_of)
+def test_headers_of_the_core_begin_with_what_they_are_about(path: Path) -> None:
+    assert re.match(r"// .+[.:]\n(//.*\n)*\n#pragma once\n", path.read_text())
+
+
+@every_native_file
+def test_every_file_of_the_core_is_built(path: Path) -> None:
+    built = (ROOT / "CMakeLists.txt").read_text()
+    assert path.suffix == ".hpp" or f"native/{path.name}" in built
+
+
+def test_the_core_has_no_folders() -> None:
+    assert len(NATIVE) > 1
+    assert not any(path.is_dir() for path in (ROOT / "native").iterdir())
 
 
 @every_module

@@ -11,10 +11,10 @@ from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.pose import inverse, world_from_base_planar
 from pipelines.lightfield.comparison import prepared
 from pipelines.lightfield.renderer import Renderer, RenderingWithSurface
-from pipelines.localize.alignment_kernels import CHUNK, FLAT, normal_equations, robust_error
 from pipelines.localize.observation import Observation, Observer
-from pipelines.localize.refinement import Refined, _inverse, refine
+from pipelines.localize.refinement import FLAT, Refined, _inverse, refine
 from pipelines.localize.state_space import PLANAR, SPATIAL, StateSpace
+from pipelines.native import normal_equations, robust_error
 from tests.report_samples import CAMERA, MOUNT, facing_wall, photo, smooth, wall_scene
 
 # Between two recordings, nearer than they are, and turned: no view shows exactly this.
@@ -161,6 +161,7 @@ def kernel_sums(
         gain,
         offset,
         limit,
+        FLAT,
         look.intrinsics.vector()[:4],
         np.ascontiguousarray(look.camera[:3, :3]),
         look.lever,
@@ -219,7 +220,7 @@ def inner(covered: BoolArray) -> BoolArray:
 
 
 @both
-@pytest.mark.parametrize("width", [CAMERA.width, CHUNK + 2, 2 * CHUNK + 11])
+@pytest.mark.parametrize("width", [CAMERA.width, 66, 139])
 @pytest.mark.parametrize("x", [-0.4, 2.3], ids=["all covered", "past the map's end"])
 def test_the_kernel_adds_up_what_plain_arrays_do(
     space: StateSpace, x: float, width: int, renderer: Renderer

@@ -24,15 +24,16 @@ from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray
 from pipelines.geometry.camera import Intrinsics
 from pipelines.lightfield.comparison import LARGEST_GAIN, prepared
 from pipelines.lightfield.renderer import RenderingWithSurface
-from pipelines.localize.alignment_kernels import normal_equations, robust_error
-from pipelines.localize.brightness_kernels import fitted_brightness
 from pipelines.localize.observation import Observation
 from pipelines.localize.state_space import StateSpace
+from pipelines.native import fitted_brightness, normal_equations, robust_error
 
 # Beyond so many standard deviations an error is taken for something else (95 % efficiency).
 TUKEY = 4.685
 # Levels of the channels: rounding leaves about this, in a rendered view and in the image.
 SMALLEST_SCALE = 3.0
+# A pixel whose neighbours differ by less than so many levels says nothing about the pose.
+FLAT = 10.0
 # Fewer comparable pixels than this share of the image say nothing about the pose.
 SMALLEST_SHARE = 0.15
 LARGEST_STEP_METRES, LARGEST_STEP_RADIANS = 0.3, math.radians(8.0)
@@ -158,6 +159,7 @@ class _Level:
             look.gain,
             look.offset,
             TUKEY * look.scale,
+            FLAT,
             pinhole.vector()[:4],
             np.ascontiguousarray(camera[:3, :3]),
             camera[:3, 3] - body[:3, 3],

@@ -1,0 +1,171 @@
+#include "array_argument.hpp"
+
+#include <cmath>
+#include <cstdint>
+#include <cstdio>
+#include <string>
+
+namespace nb = nanobind;
+
+namespace lfnav {
+
+namespace {
+
+template <typename Element>
+constexpr const char* ELEMENT_NAME = nullptr;
+template <>
+constexpr const char* ELEMENT_NAME<float> = "float32";
+template <>
+constexpr const char* ELEMENT_NAME<double> = "float64";
+template <>
+constexpr const char* ELEMENT_NAME<bool> = "bool";
+
+std::string text(nb::handle object) { return nb::str(object).c_str(); }
+
+std::string class_name(nb::handle object) { return text(object.type().attr("__name__")); }
+
+std::string number_text(double value) {
+    char buffer[32];
+    std::snprintf(buffer, sizeof buffer, "%g", value);
+    return buffer;
+}
+
+/// "(H, W, 4)" would be nicer, but what axes are called only the documentation knows.
+std::string wanted_text(std::initializer_list<std::ptrdiff_t> shape) {
+    std::string result = "(";
+    for (const std::ptrdiff_t length : shape) {
+        result += (result.size() > 1 ? ", " : "") + (length < 0 ? "*" : std::to_string(length));
+    }
+    return result + (shape.size() == 1 ? ",)" : ")");
+}
+
+[[noreturn]] void refuse_type(const char* name, const std::string& reason) {
+    throw nb::type_error((name + (": " + reason)).c_str());
+}
+
+[[noreturn]] void refuse_value(const char* name, const std::string& reason) {
+    throw nb::value_error((name + (": " + reason)).c_str());
+}
+
+std::string given_text(const nb::ndarray<nb::ro>& array) {
+    std::string result = "(";
+    for (std::size_t axis = 0; axis < array.ndim(); ++axis) {
+        result += (axis > 0 ? ", " : "") + std::to_string(array.shape(axis));
+    }
+    return result + (array.ndim() == 1 ? ",)" : ")");
+}
+
+bool is_in_c_order(const nb::ndarray<nb::ro>& array) {
+    std::int64_t step = 1;
+    for (std::size_t axis = array.ndim(); axis-- > 0;) {
+        if (array.shape(axis) > 1 && array.stride(axis) != step) {
+            return false;
+        }
+        step *= static_cast<std::int64_t>(array.shape(axis));
+    }
+    return true;
+}
+
+}  // namespace
+
+template <typename Element>
+ArrayArgument<Element>::ArrayArgument(nb::handle array, const char* name,
+                                      std::initializer_list<std::ptrdiff_t> shape) {
+    const std::string wanted = ELEMENT_NAME<Element>;
+    const bool is_array = nb::ndarray_check(array);
+    if (!is_array || !nb::try_cast(array, array_) || array_.dtype() != nb::dtype<Element>()) {
+        const bool has_type = is_array && nb::hasattr(array, "dtype");
+        refuse_type(name, "an array of " + wanted + " expected, got " +
+                              (has_type ? text(array.attr("dtype")) : class_name(array)));
+    }
+    bool fits = array_.ndim() == shape.size();
+    for (std::size_t axis = 0; fits && axis < shape.size(); ++axis) {
+        const std::ptrdiff_t length = shape.begin()[axis];
+        fits = length == ANY || array_.shape(axis) == static_cast<std::size_t>(length);
+    }
+    if (!fits) {
+        refuse_value(name, "shape " + wanted_text(shape) + " expected, got " + given_text(array_));
+    }
+    if (array_.size() == 0) {
+        return;
+    }
+    if (!is_in_c_order(array_)) {
+        refuse_value(name, "an array in C order expected; np.ascontiguousarray makes one");
+    }
+    if (reinterpret_cast<std::uintptr_t>(array_.data()) % alignof(Element) != 0) {
+        refuse_value(name, "an aligned array expected; a copy is one");
+    }
+}
+
+template class ArrayArgument<float>;
+template class ArrayArgument<double>;
+template class ArrayArgument<bool>;
+
+MaskedImageArgument::MaskedImageArgument(nb::handle array, const char* name)
+    : array_(array, name, {ArrayArgument<float>::ANY, ArrayArgument<float>::ANY, 4}) {}
+
+MaskedImageArgument::MaskedImageArgument(nb::handle array, const char* name,
+                                         const MaskedImage& like)
+    : array_(
+          array, name,
+          {static_cast<std::ptrdiff_t>(like.height), static_cast<std::ptrdiff_t>(like.width), 4}) {}
+
+double finite_number(nb::handle number, const char* name) {
+    const double value = PyFloat_AsDouble(number.ptr());
+    if (value == -1.0 && PyErr_Occurred()) {
+        PyErr_Clear();
+        refuse_type(name, "a number expected, got " + class_name(number));
+    }
+    if (!std::isfinite(value)) {
+        refuse_value(name, "a finite number expected, got " + number_text(value));
+    }
+    return value;
+}
+
+double number_from(double least, nb::handle number, const char* name) {
+    const double value = finite_number(number, name);
+    if (value < least) {
+        refuse_value(name,
+                     "at least " + number_text(least) + " expected, got " + number_text(value));
+    }
+    return value;
+}
+
+double positive_number(nb::handle number, const char* name) {
+    const double value = finite_number(number, name);
+    if (value <= 0.0) {
+        refuse_value(name, "a number above 0 expected, got " + number_text(value));
+    }
+    return value;
+}
+
+std::size_t integer_between(std::size_t least, std::size_t most, nb::handle number,
+                            const char* name) {
+    const nb::object integer = nb::steal(PyNumber_Index(number.ptr()));
+    if (!integer.is_valid()) {
+        PyErr_Clear();
+        refuse_type(name, "an integer expected, got " + class_name(number));
+    }
+    int overflow = 0;
+    const long long value = PyLong_AsLongLongAndOverflow(integer.ptr(), &overflow);
+    if (overflow != 0 || value < static_cast<long long>(least) ||
+        value > static_cast<long long>(most)) {
+        refuse_value(name, "an integer from " + std::to_string(least) + " to " +
+                               std::to_string(most) + " expected, got " + text(number));
+    }
+    return static_cast<std::size_t>(value);
+}
+
+NewArray::NewArray(std::initializer_list<std::size_t> shape) {
+    std::size_t size = 1;
+    for (const std::size_t length : shape) {
+        size *= length;
+    }
+    auto* const data = new double[size]();
+    const nb::capsule owner(data,
+                            [](void* memory) noexcept { delete[] static_cast<double*>(memory); });
+    array = nb::ndarray<nb::numpy, double>(data, shape.size(), shape.begin(), owner);
+    values = {data, size};
+}
+
+}  // namespace lfnav

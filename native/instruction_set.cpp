@@ -1,0 +1,64 @@
+#include "instruction_set.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cstdlib>
+#include <stdexcept>
+#include <string>
+#include <utility>
+
+namespace lfnav {
+
+namespace {
+
+constexpr const char* VARIABLE = "LFNAV_INSTRUCTION_SET";
+constexpr std::array<std::pair<InstructionSet, std::string_view>, 3> NAMES{
+    {{InstructionSet::BASELINE, "baseline"},
+     {InstructionSet::X86_64_V3, "x86-64-v3"},
+     {InstructionSet::X86_64_V4, "x86-64-v4"}}};
+
+InstructionSet of_processor() {
+#if defined(__x86_64__) && defined(__GNUC__)
+    __builtin_cpu_init();
+    if (__builtin_cpu_supports("x86-64-v4")) {
+        return InstructionSet::X86_64_V4;
+    }
+    if (__builtin_cpu_supports("x86-64-v3")) {
+        return InstructionSet::X86_64_V3;
+    }
+#endif
+    return InstructionSet::BASELINE;
+}
+
+InstructionSet chosen() {
+    const InstructionSet best = of_processor();
+    const char* const wanted = std::getenv(VARIABLE);
+    if (wanted == nullptr) {
+        return best;
+    }
+    for (const auto& [level, name] : NAMES) {
+        if (name == wanted) {
+            return std::min(level, best);
+        }
+    }
+    throw std::invalid_argument(std::string(VARIABLE) + " is '" + wanted +
+                                "'; choose baseline, x86-64-v3 or x86-64-v4");
+}
+
+}  // namespace
+
+InstructionSet instruction_set() {
+    static const InstructionSet level = chosen();
+    return level;
+}
+
+std::string_view name_of(InstructionSet level) {
+    for (const auto& [own, name] : NAMES) {
+        if (own == level) {
+            return name;
+        }
+    }
+    return "unknown";
+}
+
+}  // namespace lfnav

@@ -1,0 +1,116 @@
+#include "robust_error.hpp"
+
+#include <algorithm>
+#include <cstring>
+
+#include "instruction_set.hpp"
+#include "simd.hpp"
+
+namespace lfnav {
+
+namespace {
+
+/// Gain, offset and one over the limit, so that an error of 1 is at the limit.
+struct ScaledPhotometry {
+    float gain, offset, scale;
+};
+
+/// As many pixels of four channels as a register holds, and what is done with them.
+template <std::size_t BYTES>
+struct Pixels {
+    using Vector = FloatVector<BYTES>;
+    static constexpr std::size_t FLOATS = BYTES / sizeof(float);
+
+    /// @param floats: at most FLOATS; what is behind them counts as zeros.
+    LFNAV_INLINE static Vector loaded(const float* from, std::size_t floats) {
+        Vector result = {};
+        std::memcpy(&result, from, floats * sizeof(float));
+        return result;
+    }
+
+    /// Each pixel's fourth channel in all of its channels.
+    LFNAV_INLINE static Vector fourth_channels(Vector pixels) {
+        if constexpr (BYTES == 16) {
+            return __builtin_shufflevector(pixels, pixels, 3, 3, 3, 3);
+        } else if constexpr (BYTES == 32) {
+            return __builtin_shufflevector(pixels, pixels, 3, 3, 3, 3, 7, 7, 7, 7);
+        } else {
+            return __builtin_shufflevector(pixels, pixels, 3, 3, 3, 3, 7, 7, 7, 7, 11, 11, 11, 11,
+                                           15, 15, 15, 15);
+        }
+    }
+
+    /// What pixels cost, relative to the largest loss; in the fourth channel it means nothing.
+    LFNAV_INLINE static Vector losses(Vector view, Vector target, const ScaledPhotometry& scaled) {
+        const Vector compared = fourth_channels(target), seen = compared * fourth_channels(view);
+        const Vector error = scaled.gain * view + scaled.offset - scaled.scale * target;
+        const Vector rest = 1.0F - error * error, zero = {};
+        const Vector inside = rest > zero ? rest : zero;
+        return compared - seen * inside * inside * inside;
+    }
+};
+
+/// Sum of the losses of a view, relative to the largest, over the number of pixels compared.
+struct MeanLoss {
+    const MaskedImage& view;
+    const MaskedImage& target;
+    ScaledPhotometry scaled;
+
+    // Sums kept apart, since the next addition to one waits for the last.
+    static constexpr std::size_t SUMS = 4;
+
+    template <std::size_t BYTES>
+    LFNAV_INLINE double operator()() const {
+        using Some = Pixels<BYTES>;
+        using Vector = typename Some::Vector;
+        constexpr std::size_t FLOATS = Some::FLOATS;
+        double sum = 0.0, count = 0.0;
+        for (std::size_t y = 0; y < view.height; ++y) {
+            const float *rendered = view.row(y), *wanted = target.row(y);
+            Vector losses[SUMS] = {}, compared = {};
+            const std::size_t end = 4 * view.width;
+            std::size_t i = 0;
+            for (; i + SUMS * FLOATS <= end; i += SUMS * FLOATS) {
+                for (std::size_t k = 0; k < SUMS; ++k) {
+                    const Vector a = Some::loaded(rendered + i + k * FLOATS, FLOATS);
+                    const Vector b = Some::loaded(wanted + i + k * FLOATS, FLOATS);
+                    losses[k] += Some::losses(a, b, scaled);
+                    compared += b;
+                }
+            }
+            for (; i + FLOATS <= end; i += FLOATS) {
+                const Vector a = Some::loaded(rendered + i, FLOATS);
+                const Vector b = Some::loaded(wanted + i, FLOATS);
+                losses[0] += Some::losses(a, b, scaled);
+                compared += b;
+            }
+            if (i < end) {
+                const Vector a = Some::loaded(rendered + i, end - i);
+                const Vector b = Some::loaded(wanted + i, end - i);
+                losses[0] += Some::losses(a, b, scaled);
+                compared += b;
+            }
+            const Vector total = (losses[0] + losses[1]) + (losses[2] + losses[3]);
+            for (std::size_t pixel = 0; pixel < FLOATS; pixel += 4) {
+                sum += static_cast<double>(total[pixel]) + static_cast<double>(total[pixel + 1]) +
+                       static_cast<double>(total[pixel + 2]);
+                count += static_cast<double>(compared[pixel + 3]);
+            }
+        }
+        return sum / std::max(count, 1.0);
+    }
+};
+
+}  // namespace
+
+double robust_error(const MaskedImage& view, const MaskedImage& target,
+                    const Photometry& photometry) {
+    const double limit = photometry.limit;
+    const ScaledPhotometry scaled{static_cast<float>(photometry.gain / limit),
+                                  static_cast<float>(photometry.offset / limit),
+                                  static_cast<float>(1.0 / limit)};
+    // The largest loss of a channel, which all losses are relative to, is a sixth of this square.
+    return at_best_level(MeanLoss{view, target, scaled}) / 3.0 * limit * limit / 6.0;
+}
+
+}  // namespace lfnav
