@@ -26,7 +26,7 @@ from pipelines.localize.estimate import (
     modes_table,
 )
 from pipelines.localize.informed import Informed
-from pipelines.localize.measurement_model import LEAST_EXPLAINED, MeasurementModel
+from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.motion import checked_increment
 from pipelines.localize.observation import Observations, Observer
 from pipelines.localize.run import FrameRecord
@@ -214,7 +214,8 @@ class Localizer:
         fine = observations.by_width[self.settings.fine_width]
         share = self._model.explained(state, fine)
         # A place of which the image shows nothing is not spoken for.
-        self._likely_images = self._likely_images + 1 if share > LEAST_EXPLAINED else 0
+        speaks = float(self._model.evidence(state[None], fine)[0]) > 0.0
+        self._likely_images = self._likely_images + 1 if speaks else 0
         least = CONFIRMING_SHARE if self.settings.start is None else STARTING_SHARE
         return self._likely_images >= CONFIRMING_IMAGES or share >= least
 
