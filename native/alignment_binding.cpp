@@ -59,7 +59,7 @@ double python_robust_error(nb::handle view, nb::handle target, nb::handle gain, 
     const MaskedImageArgument wanted(target, "target", rendered);
     const Photometry photometry = photometry_of(gain, offset, limit);
     const nb::gil_scoped_release unlocked;
-    return robust_error(rendered, wanted, photometry);
+    return LFNAV_BEST(robust_error)(rendered, wanted, photometry);
 }
 
 nb::tuple python_normal_equations(nb::handle image, nb::handle inverse_depth, nb::handle target,
@@ -79,7 +79,7 @@ nb::tuple python_normal_equations(nb::handle image, nb::handle inverse_depth, nb
     const ArrayArgument<double> directions(axes, "axes", {ArrayArgument<double>::ANY, 3});
     const std::size_t unknowns = directions.shape(0);
     if (unknowns > MOST_UNKNOWNS) {
-        throw nb::value_error("axes: at most 6 unknowns expected");
+        refuse_value("axes", "at most 6 unknowns expected");
     }
     const ArrayArgument<bool> kinds(is_rotation, "is_rotation",
                                     {static_cast<std::ptrdiff_t>(unknowns)});
@@ -93,11 +93,12 @@ nb::tuple python_normal_equations(nb::handle image, nb::handle inverse_depth, nb
                            {lens[0], lens[1], lens[2], lens[3]}};
     const std::vector<Motion> motions =
         camera_motions(turned.span(), arm.span(), directions.span(), kinds.span());
-    NewArray hessian({unknowns + 2, unknowns + 2});
-    NewArray tile_gradients({tiles * tiles, unknowns + 2});
+    NewArray<double> hessian({unknowns + 2, unknowns + 2});
+    NewArray<double> tile_gradients({tiles * tiles, unknowns + 2});
     {
         const nb::gil_scoped_release unlocked;
-        add_normal_equations(view, motions, tiles, hessian.values, tile_gradients.values);
+        LFNAV_BEST(add_normal_equations)(view, motions, tiles, hessian.values,
+                                         tile_gradients.values);
     }
     return nb::make_tuple(hessian.array, tile_gradients.array);
 }

@@ -19,6 +19,12 @@ template <>
 constexpr const char* ELEMENT_NAME<double> = "float64";
 template <>
 constexpr const char* ELEMENT_NAME<bool> = "bool";
+template <>
+constexpr const char* ELEMENT_NAME<std::uint8_t> = "uint8";
+template <>
+constexpr const char* ELEMENT_NAME<std::int32_t> = "int32";
+template <>
+constexpr const char* ELEMENT_NAME<std::int64_t> = "int64";
 
 std::string text(nb::handle object) { return nb::str(object).c_str(); }
 
@@ -43,10 +49,6 @@ std::string wanted_text(std::initializer_list<std::ptrdiff_t> shape) {
     throw nb::type_error((name + (": " + reason)).c_str());
 }
 
-[[noreturn]] void refuse_value(const char* name, const std::string& reason) {
-    throw nb::value_error((name + (": " + reason)).c_str());
-}
-
 std::string given_text(const nb::ndarray<nb::ro>& array) {
     std::string result = "(";
     for (std::size_t axis = 0; axis < array.ndim(); ++axis) {
@@ -67,6 +69,10 @@ bool is_in_c_order(const nb::ndarray<nb::ro>& array) {
 }
 
 }  // namespace
+
+void refuse_value(const char* name, const std::string& reason) {
+    throw nb::value_error((name + (": " + reason)).c_str());
+}
 
 template <typename Element>
 ArrayArgument<Element>::ArrayArgument(nb::handle array, const char* name,
@@ -100,6 +106,9 @@ ArrayArgument<Element>::ArrayArgument(nb::handle array, const char* name,
 template class ArrayArgument<float>;
 template class ArrayArgument<double>;
 template class ArrayArgument<bool>;
+template class ArrayArgument<std::uint8_t>;
+template class ArrayArgument<std::int32_t>;
+template class ArrayArgument<std::int64_t>;
 
 MaskedImageArgument::MaskedImageArgument(nb::handle array, const char* name)
     : array_(array, name, {ArrayArgument<float>::ANY, ArrayArgument<float>::ANY, 4}) {}
@@ -156,16 +165,20 @@ std::size_t integer_between(std::size_t least, std::size_t most, nb::handle numb
     return static_cast<std::size_t>(value);
 }
 
-NewArray::NewArray(std::initializer_list<std::size_t> shape) {
+template <typename Element>
+NewArray<Element>::NewArray(std::initializer_list<std::size_t> shape) {
     std::size_t size = 1;
     for (const std::size_t length : shape) {
         size *= length;
     }
-    auto* const data = new double[size]();
+    auto* const data = new Element[size]();
     const nb::capsule owner(data,
-                            [](void* memory) noexcept { delete[] static_cast<double*>(memory); });
-    array = nb::ndarray<nb::numpy, double>(data, shape.size(), shape.begin(), owner);
+                            [](void* memory) noexcept { delete[] static_cast<Element*>(memory); });
+    array = nb::ndarray<nb::numpy, Element>(data, shape.size(), shape.begin(), owner);
     values = {data, size};
 }
+
+template struct NewArray<float>;
+template struct NewArray<double>;
 
 }  // namespace lfnav

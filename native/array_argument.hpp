@@ -8,7 +8,7 @@
 #include <cstddef>
 #include <initializer_list>
 #include <span>
-#include <vector>
+#include <string>
 
 #include "image.hpp"
 
@@ -16,6 +16,9 @@ namespace lfnav {
 
 /// An argument that a function takes whatever it is, and checks itself.
 inline auto argument(const char* name) { return nanobind::arg(name).none(); }
+
+/// Throws nanobind::value_error with one line about an argument.
+[[noreturn]] void refuse_value(const char* name, const std::string& reason);
 
 /// An array of Python's, kept alive as long as this is there.
 ///
@@ -67,12 +70,13 @@ double positive_number(nanobind::handle number, const char* name);
 std::size_t integer_between(std::size_t least, std::size_t most, nanobind::handle number,
                             const char* name);
 
-/// A new NumPy array of doubles, all of them zero, and where they are.
+/// A new NumPy array, all of its elements zero, and where they are.
+template <typename Element>
 struct NewArray {
     explicit NewArray(std::initializer_list<std::size_t> shape);
 
-    nanobind::ndarray<nanobind::numpy, double> array;
-    std::span<double> values;
+    nanobind::ndarray<nanobind::numpy, Element> array;
+    std::span<Element> values;
 };
 
 }  // namespace lfnav

@@ -6,9 +6,9 @@
 #include <cstdint>
 #include <memory>
 
-#include "instruction_set.hpp"
+#include "level.hpp"
 
-namespace lfnav {
+namespace lfnav::LFNAV_LEVEL {
 
 namespace {
 
@@ -146,16 +146,6 @@ LFNAV_INLINE Brightness fit(const Samples& samples, const BrightnessLimits& limi
     return found;
 }
 
-struct Fit {
-    const Samples& samples;
-    const BrightnessLimits& limits;
-
-    template <std::size_t BYTES>
-    LFNAV_INLINE Brightness operator()() const {
-        return fit(samples, limits);
-    }
-};
-
 }  // namespace
 
 Brightness fitted_brightness(const MaskedImage& view, const MaskedImage& target, std::size_t stride,
@@ -167,7 +157,7 @@ Brightness fitted_brightness(const MaskedImage& view, const MaskedImage& target,
     if (samples.count == 0) {
         return {1.0, 0.0, limits.smallest_scale};
     }
-    return at_best_level(Fit{samples, limits});
+    return fit(samples, limits);
 }
 
-}  // namespace lfnav
+}  // namespace lfnav::LFNAV_LEVEL

@@ -5,6 +5,7 @@
 #include <cstddef>
 
 #include "image.hpp"
+#include "instruction_set.hpp"
 
 namespace lfnav {
 
@@ -28,7 +29,7 @@ struct BrightnessLimits {
 /// Statistics", chapter 7).
 ///
 /// @param stride: only every so many-th pixel of every so many-th row is used.
-Brightness fitted_brightness(const MaskedImage& view, const MaskedImage& target, std::size_t stride,
-                             const BrightnessLimits& limits);
+LFNAV_DECLARE(Brightness fitted_brightness(const MaskedImage& view, const MaskedImage& target,
+                                           std::size_t stride, const BrightnessLimits& limits))
 
 }  // namespace lfnav

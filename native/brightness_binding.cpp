@@ -25,7 +25,7 @@ void bind_brightness(nb::module_& module) {
                                           positive_number(smallest_scale, "smallest_scale"),
                                           number_from(1.0, largest_gain, "largest_gain")};
             const nb::gil_scoped_release unlocked;
-            const Brightness found = fitted_brightness(rendered, wanted, step, limits);
+            const Brightness found = LFNAV_BEST(fitted_brightness)(rendered, wanted, step, limits);
             return std::make_tuple(found.gain, found.offset, found.scale);
         },
         argument("view"), argument("target"), argument("stride"), argument("cutoff"),

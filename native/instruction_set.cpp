@@ -18,7 +18,7 @@ constexpr std::array<std::pair<InstructionSet, std::string_view>, 3> NAMES{
      {InstructionSet::X86_64_V4, "x86-64-v4"}}};
 
 InstructionSet of_processor() {
-#if defined(__x86_64__) && defined(__GNUC__)
+#ifdef LFNAV_SEVERAL_LEVELS
     __builtin_cpu_init();
     if (__builtin_cpu_supports("x86-64-v4")) {
         return InstructionSet::X86_64_V4;

@@ -1,22 +1,13 @@
-// Kernels compiled for several levels of x86-64, of which each processor runs the best it can.
+// Which level of x86-64 this processor has, of those that kernels are compiled for.
 //
-// One build then runs everywhere and uses AVX-512 where it is there. Work is an object whose call
-// operator is compiled once for each level and told how many bytes a register holds:
-//
-//     struct Sum {
-//         std::span<const float> numbers;
-//         template <std::size_t BYTES> LFNAV_INLINE float operator()() const { ... }
-//     };
-//     const float sum = at_best_level(Sum{numbers});
-//
-// What such an operator calls has to be LFNAV_INLINE too, or it is compiled for the lowest level.
+// One build runs everywhere and uses AVX-512 where it is there: CMakeLists.txt compiles the files
+// with kernels once for each level, and each time everything in them is in a namespace of that name
+// (level.hpp). LFNAV_DECLARE declares a function of them at all levels, and LFNAV_BEST is that of
+// the best level: LFNAV_BEST(robust_error)(view, target, photometry).
 
 #pragma once
 
-#include <cstddef>
 #include <string_view>
-
-#define LFNAV_INLINE inline __attribute__((always_inline))
 
 namespace lfnav {
 
@@ -30,38 +21,37 @@ InstructionSet instruction_set();
 
 std::string_view name_of(InstructionSet level);
 
-#if defined(__x86_64__) && defined(__GNUC__)
-
-template <typename Work>
-__attribute__((target("arch=x86-64-v4"))) auto at_x86_64_v4(const Work& work) {
-    return work.template operator()<64>();
-}
-
-template <typename Work>
-__attribute__((target("arch=x86-64-v3"))) auto at_x86_64_v3(const Work& work) {
-    return work.template operator()<32>();
-}
-
-/// Calls work.template operator()<BYTES>(), compiled for the best level.
-template <typename Work>
-auto at_best_level(const Work& work) {
+template <typename Function>
+Function* at_best_level(Function* baseline, Function* x86_64_v3, Function* x86_64_v4) {
     switch (instruction_set()) {
         case InstructionSet::X86_64_V4:
-            return at_x86_64_v4(work);
+            return x86_64_v4;
         case InstructionSet::X86_64_V3:
-            return at_x86_64_v3(work);
+            return x86_64_v3;
         default:
-            return work.template operator()<16>();
+            return baseline;
     }
 }
 
-#else
-
-template <typename Work>
-auto at_best_level(const Work& work) {
-    return work.template operator()<16>();
-}
-
-#endif
-
 }  // namespace lfnav
+
+#ifdef LFNAV_SEVERAL_LEVELS
+#define LFNAV_DECLARE(...) \
+    namespace baseline {   \
+    __VA_ARGS__;           \
+    }                      \
+    namespace x86_64_v3 {  \
+    __VA_ARGS__;           \
+    }                      \
+    namespace x86_64_v4 {  \
+    __VA_ARGS__;           \
+    }
+#define LFNAV_BEST(function) \
+    (*at_best_level(&baseline::function, &x86_64_v3::function, &x86_64_v4::function))
+#else
+#define LFNAV_DECLARE(...) \
+    namespace baseline {   \
+    __VA_ARGS__;           \
+    }
+#define LFNAV_BEST(function) baseline::function
+#endif

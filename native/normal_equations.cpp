@@ -5,10 +5,10 @@
 #include <cstring>
 #include <vector>
 
-#include "instruction_set.hpp"
+#include "level.hpp"
 #include "simd.hpp"
 
-namespace lfnav {
+namespace lfnav::LFNAV_LEVEL {
 
 namespace {
 
@@ -171,17 +171,10 @@ LFNAV_INLINE void set_motion(const Motion& motion, const double* inverse_depth, 
 using Lanes = std::array<double, LANES>;
 
 /// Sums of terms of the pixels of a chunk, lane by lane, in registers.
-template <std::size_t BYTES>
 struct LaneSums {
-    using Vector = DoubleVector<BYTES>;
+    using Vector = DoubleVector;
     static constexpr std::size_t DOUBLES = BYTES / sizeof(double);
     static constexpr std::size_t VECTORS = LANES / DOUBLES;
-
-    LFNAV_INLINE static Vector loaded(const double* from) {
-        Vector result;
-        std::memcpy(&result, from, sizeof result);
-        return result;
-    }
 
     /// Adds the products of two pairs of numbers of each pixel.
     LFNAV_INLINE static void add_products(const double* a, const double* b, const double* c,
@@ -190,7 +183,8 @@ struct LaneSums {
         for (std::size_t x = 0; x < count; x += LANES) {
             for (std::size_t k = 0; k < VECTORS; ++k) {
                 const std::size_t i = x + k * DOUBLES;
-                sums[k] += loaded(a + i) * loaded(b + i) + loaded(c + i) * loaded(d + i);
+                sums[k] += loaded<Vector>(a + i) * loaded<Vector>(b + i) +
+                           loaded<Vector>(c + i) * loaded<Vector>(d + i);
             }
         }
         add(sums, lanes);
@@ -201,7 +195,7 @@ struct LaneSums {
         Vector sums[VECTORS] = {};
         for (std::size_t x = 0; x < count; x += LANES) {
             for (std::size_t k = 0; k < VECTORS; ++k) {
-                sums[k] += loaded(a + x + k * DOUBLES);
+                sums[k] += loaded<Vector>(a + x + k * DOUBLES);
             }
         }
         add(sums, lanes);
@@ -211,8 +205,8 @@ struct LaneSums {
     LFNAV_INLINE static void add(const Vector* sums, Lanes& lanes) {
         for (std::size_t k = 0; k < VECTORS; ++k) {
             double* const own = lanes.data() + k * DOUBLES;
-            const Vector sum = loaded(own) + sums[k];
-            std::memcpy(own, &sum, sizeof sum);
+            const Vector sum = loaded<Vector>(own) + sums[k];
+            store(sum, own);
         }
     }
 };
@@ -222,10 +216,9 @@ struct HessianLanes {
     Lanes sums[MOST_UNKNOWNS + 2][MOST_UNKNOWNS + 2] = {};
 };
 
-template <std::size_t BYTES>
 LFNAV_INLINE void add_hessian(const ChannelSums& sums, const PixelMotion* moves,
                               std::size_t unknowns, std::size_t count, HessianLanes& hessian) {
-    using Sums = LaneSums<BYTES>;
+    using Sums = LaneSums;
     auto& h = hessian.sums;
     for (std::size_t k = 0; k < unknowns; ++k) {
         const PixelMotion& own = moves[k];
@@ -275,7 +268,6 @@ void add_columns(std::span<double> columns, std::size_t width, std::size_t strid
     std::fill(columns.begin(), columns.end(), 0.0);
 }
 
-template <std::size_t BYTES>
 LFNAV_INLINE void add_up(const AlignedView& view, std::span<const Motion> motions,
                          std::size_t tiles_across, HessianLanes& hessian,
                          std::span<double> tile_gradients) {
@@ -316,7 +308,7 @@ LFNAV_INLINE void add_up(const AlignedView& view, std::span<const Motion> motion
                 set_motion(motions[k], near, ray.data() + first, ray_y, view.pinhole, count, sums,
                            moves[k]);
             }
-            add_hessian<BYTES>(sums, moves, unknowns, count, hessian);
+            add_hessian(sums, moves, unknowns, count, hessian);
             add_gradients(sums, moves, unknowns, count, stride, columns.data() + first);
         }
         const std::size_t tile_row = y * tiles_across / height;
@@ -327,19 +319,6 @@ LFNAV_INLINE void add_up(const AlignedView& view, std::span<const Motion> motion
     }
 }
 
-struct AddUp {
-    const AlignedView& view;
-    std::span<const Motion> motions;
-    std::size_t tiles_across;
-    HessianLanes& hessian;
-    std::span<double> tile_gradients;
-
-    template <std::size_t BYTES>
-    LFNAV_INLINE void operator()() const {
-        add_up<BYTES>(view, motions, tiles_across, hessian, tile_gradients);
-    }
-};
-
 }  // namespace
 
 void add_normal_equations(const AlignedView& view, std::span<const Motion> motions,
@@ -349,7 +328,7 @@ void add_normal_equations(const AlignedView& view, std::span<const Motion> motio
         return;
     }
     HessianLanes lanes;
-    at_best_level(AddUp{view, motions, tiles_across, lanes, tile_gradients});
+    add_up(view, motions, tiles_across, lanes, tile_gradients);
     const std::size_t size = motions.size() + 2;
     for (std::size_t k = 0; k < size; ++k) {
         for (std::size_t j = k; j < size; ++j) {
@@ -365,4 +344,4 @@ void add_normal_equations(const AlignedView& view, std::span<const Motion> motio
     }
 }
 
-}  // namespace lfnav
+}  // namespace lfnav::LFNAV_LEVEL

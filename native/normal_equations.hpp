@@ -7,6 +7,7 @@
 #include <span>
 
 #include "image.hpp"
+#include "instruction_set.hpp"
 #include "photometry.hpp"
 
 namespace lfnav {
@@ -48,8 +49,8 @@ struct AlignedView {
 /// @param tiles_across: the gradients of so many times so many tiles of the image are kept apart.
 /// @param hessian: (D + 2, D + 2) zeros, receives the sum.
 /// @param tile_gradients: (tiles, D + 2) zeros, receives the gradient of each tile.
-void add_normal_equations(const AlignedView& view, std::span<const Motion> motions,
-                          std::size_t tiles_across, std::span<double> hessian,
-                          std::span<double> tile_gradients);
+LFNAV_DECLARE(void add_normal_equations(const AlignedView& view, std::span<const Motion> motions,
+                                        std::size_t tiles_across, std::span<double> hessian,
+                                        std::span<double> tile_gradients))
 
 }  // namespace lfnav

@@ -3,10 +3,10 @@
 #include <algorithm>
 #include <cstring>
 
-#include "instruction_set.hpp"
+#include "level.hpp"
 #include "simd.hpp"
 
-namespace lfnav {
+namespace lfnav::LFNAV_LEVEL {
 
 namespace {
 
@@ -16,9 +16,8 @@ struct ScaledPhotometry {
 };
 
 /// As many pixels of four channels as a register holds, and what is done with them.
-template <std::size_t BYTES>
 struct Pixels {
-    using Vector = FloatVector<BYTES>;
+    using Vector = FloatVector;
     static constexpr std::size_t FLOATS = BYTES / sizeof(float);
 
     /// @param floats: at most FLOATS; what is behind them counts as zeros.
@@ -30,14 +29,14 @@ struct Pixels {
 
     /// Each pixel's fourth channel in all of its channels.
     LFNAV_INLINE static Vector fourth_channels(Vector pixels) {
-        if constexpr (BYTES == 16) {
-            return __builtin_shufflevector(pixels, pixels, 3, 3, 3, 3);
-        } else if constexpr (BYTES == 32) {
-            return __builtin_shufflevector(pixels, pixels, 3, 3, 3, 3, 7, 7, 7, 7);
-        } else {
-            return __builtin_shufflevector(pixels, pixels, 3, 3, 3, 3, 7, 7, 7, 7, 11, 11, 11, 11,
-                                           15, 15, 15, 15);
-        }
+#if defined(__AVX512F__)
+        return __builtin_shufflevector(pixels, pixels, 3, 3, 3, 3, 7, 7, 7, 7, 11, 11, 11, 11, 15,
+                                       15, 15, 15);
+#elif defined(__AVX2__)
+        return __builtin_shufflevector(pixels, pixels, 3, 3, 3, 3, 7, 7, 7, 7);
+#else
+        return __builtin_shufflevector(pixels, pixels, 3, 3, 3, 3);
+#endif
     }
 
     /// What pixels cost, relative to the largest loss; in the fourth channel it means nothing.
@@ -59,9 +58,8 @@ struct MeanLoss {
     // Sums kept apart, since the next addition to one waits for the last.
     static constexpr std::size_t SUMS = 4;
 
-    template <std::size_t BYTES>
     LFNAV_INLINE double operator()() const {
-        using Some = Pixels<BYTES>;
+        using Some = Pixels;
         using Vector = typename Some::Vector;
         constexpr std::size_t FLOATS = Some::FLOATS;
         double sum = 0.0, count = 0.0;
@@ -110,7 +108,7 @@ double robust_error(const MaskedImage& view, const MaskedImage& target,
                                   static_cast<float>(photometry.offset / limit),
                                   static_cast<float>(1.0 / limit)};
     // The largest loss of a channel, which all losses are relative to, is a sixth of this square.
-    return at_best_level(MeanLoss{view, target, scaled}) / 3.0 * limit * limit / 6.0;
+    return MeanLoss{view, target, scaled}() / 3.0 * limit * limit / 6.0;
 }
 
-}  // namespace lfnav
+}  // namespace lfnav::LFNAV_LEVEL

@@ -3,6 +3,7 @@
 #pragma once
 
 #include "image.hpp"
+#include "instruction_set.hpp"
 #include "photometry.hpp"
 
 namespace lfnav {
@@ -11,7 +12,7 @@ namespace lfnav {
 ///
 /// @param view: rendered, and 1 where covered.
 /// @param target: camera image, and 1 where it is to be compared.
-double robust_error(const MaskedImage& view, const MaskedImage& target,
-                    const Photometry& photometry);
+LFNAV_DECLARE(double robust_error(const MaskedImage& view, const MaskedImage& target,
+                                  const Photometry& photometry))
 
 }  // namespace lfnav

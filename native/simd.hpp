@@ -1,36 +1,53 @@
-// Vectors of numbers that fill a register: compilers' vector extensions, by the register's bytes.
+// Vectors of numbers that fill a register: compilers' vector extensions.
 
 #pragma once
 
+#include <cmath>
 #include <cstddef>
+#include <cstdint>
+#include <cstring>
 
-namespace lfnav {
+#include "level.hpp"
 
-/// Written out one by one: GCC 12 does not take a size that depends on a template for a size.
-template <std::size_t BYTES>
-struct VectorTypes;
+namespace lfnav::LFNAV_LEVEL {
 
-template <>
-struct VectorTypes<16> {
-    using Float = float __attribute__((vector_size(16)));
-    using Double = double __attribute__((vector_size(16)));
-};
+using FloatVector = float __attribute__((vector_size(BYTES)));
+using DoubleVector = double __attribute__((vector_size(BYTES)));
+using IntegerVector = std::int32_t __attribute__((vector_size(BYTES)));
 
-template <>
-struct VectorTypes<32> {
-    using Float = float __attribute__((vector_size(32)));
-    using Double = double __attribute__((vector_size(32)));
-};
+/// The vector at an address, which need not be aligned.
+template <typename Vector, typename Number>
+LFNAV_INLINE Vector loaded(const Number* from) {
+    Vector result;
+    std::memcpy(&result, from, sizeof result);
+    return result;
+}
 
-template <>
-struct VectorTypes<64> {
-    using Float = float __attribute__((vector_size(64)));
-    using Double = double __attribute__((vector_size(64)));
-};
+template <typename Vector, typename Number>
+LFNAV_INLINE void store(const Vector& vector, Number* to) {
+    std::memcpy(to, &vector, sizeof vector);
+}
 
-template <std::size_t BYTES>
-using FloatVector = typename VectorTypes<BYTES>::Float;
-template <std::size_t BYTES>
-using DoubleVector = typename VectorTypes<BYTES>::Double;
+template <typename Vector>
+LFNAV_INLINE Vector square_root(const Vector& vector) {
+    constexpr std::size_t FLOATS = sizeof(Vector) / sizeof(float);
+    alignas(64) float values[FLOATS];
+    store(vector, values);
+#pragma omp simd
+    for (std::size_t i = 0; i < FLOATS; ++i) {
+        values[i] = std::sqrt(values[i]);
+    }
+    return loaded<Vector>(values);
+}
 
-}  // namespace lfnav
+template <typename Vector>
+LFNAV_INLINE Vector smaller(const Vector& a, const Vector& b) {
+    return a < b ? a : b;
+}
+
+template <typename Vector>
+LFNAV_INLINE Vector larger(const Vector& a, const Vector& b) {
+    return a > b ? a : b;
+}
+
+}  // namespace lfnav::LFNAV_LEVEL

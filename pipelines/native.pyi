@@ -8,7 +8,14 @@ Images to be compared are ``(H, W, 4)``, float32: three channels in grey levels,
 is something to compare, 0 where not.
 """
 
-from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray
+from pipelines.artifacts.array_types import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    ImageArray,
+    Int32Array,
+    IntArray,
+)
 
 def instruction_set() -> str:
     """Name of the processor's level, of those that the core is compiled for.
@@ -94,3 +101,123 @@ def normal_equations(
         The Hessian (D + 2, D + 2), whose last two unknowns are gain and offset, and the gradient of
         each tile (tiles, D + 2).
     """
+
+class PlaneScene:
+    """A light field whose surface is a plane, rendered as an unstructured lumigraph.
+
+    Keeps its arrays, which are checked once; what is in them must not be changed.
+
+    Args:
+        texels: (T, 4) of the photos' pyramids, see ``ViewArrays``, as level_start, level_size,
+            projection, centres and focal.
+        level_start: (N, L).
+        level_size: (N, L, 2).
+        projection: (N, 3, 4).
+        centres: (N, 3).
+        focal: (N,).
+        usable: (N,) which photos may take part.
+        origin: (3,) of the index of these, see ``ViewIndex``, as all up to groups.
+        order: (S,).
+        numbers: (18 S,).
+        members: (16 G,).
+        blocks: (18 * 16 G,).
+        groups: (20 G,).
+        plane: (4,) unit normal and offset.
+        penalties: (4,) of resolution and border, the smallest margin, the smallest penalty.
+        most_ranked: more photos than these are narrowed down before they are ranked.
+        smallest_weight: below this sum of weights a pixel is not shown.
+    """
+
+    def __init__(
+        self,
+        *,
+        texels: ImageArray,
+        level_start: IntArray,
+        level_size: IntArray,
+        projection: FloatArray,
+        centres: FloatArray,
+        focal: FloatArray,
+        usable: BoolArray,
+        origin: FloatArray,
+        order: Int32Array,
+        numbers: Float32Array,
+        members: Int32Array,
+        blocks: Float32Array,
+        groups: Float32Array,
+        plane: FloatArray,
+        penalties: FloatArray,
+        most_ranked: int,
+        smallest_weight: float,
+    ) -> None: ...
+    def render(
+        self,
+        poses: FloatArray,
+        intrinsics: FloatArray,
+        across: IntArray,
+        down: IntArray,
+        outlook_across: IntArray,
+        outlook_down: IntArray,
+        pixels: Int32Array,
+        width: int,
+        height: int,
+    ) -> tuple[Float32Array, Float32Array]:
+        """Renders some pixels of virtual views.
+
+        Args:
+            poses: (B, 4, 4) world_from_camera.
+            intrinsics: (4,) or more: fx, fy, cx, cy.
+            across: columns of the tiles' corners, and
+            down: their rows.
+            outlook_across: (4,) columns of the points that narrow many photos down, and
+            outlook_down: (4,) their rows.
+            pixels: (P,) indices in the image, rising.
+            width: of the image, and
+            height: of it.
+
+        Returns:
+            (B, P, 4) RGB, 0 to 255, and 1 where any photo shows the pixel, all zero elsewhere; and
+            (B, P) inverse depths.
+        """
+
+    def costs(
+        self,
+        poses: FloatArray,
+        intrinsics: FloatArray,
+        across: IntArray,
+        down: IntArray,
+        outlook_across: IntArray,
+        outlook_down: IntArray,
+        pixels: Int32Array,
+        width: int,
+        height: int,
+        query: Float32Array,
+        cost: int,
+        fit_gain: bool,
+        limits: FloatArray,
+        uncovered: FloatArray,
+        table: Float32Array,
+        evidence_bin: float,
+    ) -> FloatArray:
+        """Renders virtual views and compares them with a camera image.
+
+        Args:
+            poses: (B, 4, 4) world_from_camera.
+            intrinsics: (4,) or more: fx, fy, cx, cy.
+            across: columns of the tiles' corners, and
+            down: their rows.
+            outlook_across: (4,) columns of the points that narrow many photos down, and
+            outlook_down: (4,) their rows.
+            pixels: (P,) indices in the image, rising.
+            width: of the image, and
+            height: of it.
+            query: (h, w, 4) these P = h w pixels; see ``comparison.compare``.
+            cost: a ``Cost``.
+            fit_gain: whether a brightness factor is fitted for each view.
+            limits: (3,) of absolute differences, of differences of gradients, of the gain.
+            uncovered: (4,) what an uncovered pixel costs, of the first four kinds of cost.
+            table: (rows, bins) of EVIDENCE; its first row is zeros.
+            evidence_bin: width of a bin, grey levels.
+
+        Returns:
+            (B,) costs.
+        """

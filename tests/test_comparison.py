@@ -11,6 +11,7 @@ from pipelines.lightfield.blending import Blending
 from pipelines.lightfield.comparison import (
     GRADIENT_LIMIT,
     LARGEST_GAIN,
+    NO_TABLE,
     ROBUST_LIMIT,
     UNCOVERED_GRADIENT,
     UNCOVERED_ROBUST,
@@ -24,7 +25,7 @@ from pipelines.lightfield.comparison import (
 )
 from pipelines.lightfield.compiled import compiled
 from pipelines.lightfield.proxy import Quality, plane_inverse_depth
-from pipelines.lightfield.renderer import NO_TABLE, Renderer
+from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.views import with_depth
 from tests.lightfield_samples import WALL, looking, photo, photographed, pinhole
 

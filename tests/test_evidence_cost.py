@@ -16,13 +16,14 @@ from pipelines.lightfield.comparison import (
     Cost,
     PixelEvidence,
     compare,
+    evidence_table,
     pixel_strength,
     prepared,
 )
 from pipelines.lightfield.compiled import compiled
 from pipelines.lightfield.proxy import Quality
 from pipelines.lightfield.reference import render_reference
-from pipelines.lightfield.renderer import Renderer, evidence_table
+from pipelines.lightfield.renderer import Renderer
 from tests.lightfield_samples import WALL, looking, noise_views, pinhole
 from tests.test_renderers_agree import (
     ARRANGEMENTS,

@@ -195,7 +195,7 @@ def test_the_core_knows_python_only_where_it_is_bound(path: Path) -> None:
 
 @pytest.mark.parametrize("path", [path for path in NATIVE if path.suffix == ".hpp"], ids=name_of)
 def test_headers_of_the_core_begin_with_what_they_are_about(path: Path) -> None:
-    assert re.match(r"// .+[.:]\n(//.*\n)*\n#pragma once\n", path.read_text())
+    assert re.match(r"// [A-Z].+\n(//.*\n)*\n#pragma once\n", path.read_text())
 
 
 @every_native_file

@@ -6,6 +6,7 @@ import platform
 import re
 import subprocess
 import sys
+from operator import attrgetter
 from pathlib import Path
 
 import pytest
@@ -14,23 +15,35 @@ from pipelines import native
 
 ROOT = Path(__file__).resolve().parents[1]
 STUB = ast.parse((ROOT / "pipelines" / "native.pyi").read_text())
-DESCRIBED = {node.name: node for node in STUB.body if isinstance(node, ast.FunctionDef)}
+CLASSES = {node.name: node for node in STUB.body if isinstance(node, ast.ClassDef)}
+DESCRIBED = {
+    f"{owner}{node.name}": node
+    for owner, body in [("", STUB.body), *((f"{n}.", c.body) for n, c in CLASSES.items())]
+    for node in body
+    if isinstance(node, ast.FunctionDef)
+}
 
 
 def test_the_types_describe_all_there_is_and_nothing_else() -> None:
     public = {name for name in vars(native) if not name.startswith("_")}
-    assert public == set(DESCRIBED)
+    assert public == {name for name in DESCRIBED if "." not in name} | set(CLASSES)
+    for name in CLASSES:
+        methods = {method for method in vars(getattr(native, name)) if not method.startswith("_")}
+        described = {full.split(".")[1] for full in DESCRIBED if full.startswith(f"{name}.")}
+        assert methods == described - {"__init__"}
 
 
 @pytest.mark.parametrize("name", DESCRIBED)
 def test_arguments_are_called_what_the_types_say(name: str) -> None:
-    signature = (getattr(native, name).__doc__ or "").splitlines()[0]
-    found = re.match(rf"{name}\((.*?)\) -> ", signature)
+    signature = (attrgetter(name)(native).__doc__ or "").splitlines()[0]
+    found = re.match(rf"{name.rsplit('.', maxsplit=1)[-1]}\((.*?)\) -> ", signature)
     assert found
     names = re.findall(r"(\w+): ", found[1])
     node = DESCRIBED[name]
-    assert names == [argument.arg for argument in node.args.args]
-    assert ast.get_docstring(node)
+    arguments = [argument.arg for argument in node.args.args + node.args.kwonlyargs]
+    assert names == [argument for argument in arguments if argument != "self"]
+    described = CLASSES[name.split(".", maxsplit=1)[0]] if name.endswith("__init__") else node
+    assert ast.get_docstring(described)
 
 
 def test_the_instruction_set_is_one_that_the_processor_has() -> None:

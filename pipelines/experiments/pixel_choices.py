@@ -14,9 +14,9 @@ import numpy as np
 from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray
 from pipelines.artifacts.errors import InputError
 from pipelines.dataset.dataset import CAMERA_FILE, GROUNDTRUTH_FILE, Dataset
-from pipelines.lightfield.comparison import compare, prepared
+from pipelines.lightfield.comparison import NO_TABLE, compare, prepared
 from pipelines.lightfield.compiled import compiled
-from pipelines.lightfield.renderer import NO_TABLE, Renderer
+from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.likelihood import LIKELIHOODS
 from pipelines.localize.measurement_model import VIEW_RESOLUTION_FACTOR

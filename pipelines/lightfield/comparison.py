@@ -16,6 +16,7 @@ from enum import IntEnum
 import numpy as np
 
 from pipelines.artifacts.array_types import BoolArray, Float32Array, ImageArray, Int32Array
+from pipelines.artifacts.errors import OptionError
 from pipelines.lightfield.aligned_memory import aligned
 from pipelines.lightfield.compiled import compiled_leaf, compiled_loop, compiled_part
 
@@ -57,6 +58,8 @@ EVIDENCE_BIN = 10.0
 BLOCK = 1024
 ZERO, ONE = np.float32(0.0), np.float32(1.0)
 LIMIT = np.float32(ROBUST_LIMIT)
+# Of all costs but EVIDENCE.
+NO_TABLE = np.empty(0, dtype=np.float32)
 
 
 @dataclass(frozen=True)
@@ -84,6 +87,19 @@ class PixelEvidence:
 def pixel_strength(channels: Float32Array) -> Float32Array:
     """How far the channels of pixels ``(..., 3)`` are from 128, summed up: ``(...)``."""
     return np.asarray(np.abs(channels - np.float32(128.0)).sum(axis=-1), dtype=np.float32)
+
+
+def evidence_table(cost: Cost, evidence: PixelEvidence | None) -> Float32Array:
+    """What the comparison looks up, see ``compare``; nothing for any cost but EVIDENCE.
+
+    Raises:
+        OptionError: EVIDENCE without a table, or another cost with one.
+    """
+    if (cost is Cost.EVIDENCE) != (evidence is not None):
+        raise OptionError("the cost EVIDENCE, and no other, takes a table of evidence")
+    if evidence is None:
+        return NO_TABLE
+    return np.append(np.zeros(EVIDENCE_BINS, np.float32), evidence.table.reshape(-1))
 
 
 def prepared(query: ImageArray | Float32Array) -> Float32Array:

@@ -19,7 +19,7 @@ from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray,
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
 from pipelines.lightfield.blending import Blending
-from pipelines.lightfield.comparison import Cost, PixelEvidence
+from pipelines.lightfield.comparison import Cost, PixelEvidence, evidence_table
 from pipelines.lightfield.gpu_device import (
     UNIFORM,
     Gpu,
@@ -42,7 +42,7 @@ from pipelines.lightfield.gpu_work import (
     tiles_of,
 )
 from pipelines.lightfield.proxy import Quality, cell_size, usual_inverse_depth
-from pipelines.lightfield.renderer import Renderer, Rendering, check_query, evidence_table
+from pipelines.lightfield.renderer import Renderer, Rendering, check_query
 from pipelines.lightfield.views import Views
 
 POSE_BYTES = 48

@@ -21,14 +21,16 @@ from pipelines.geometry.plane import Plane
 from pipelines.lightfield.aligned_memory import aligned
 from pipelines.lightfield.blending import Blending, outlook_positions, tile_borders
 from pipelines.lightfield.comparison import (
-    EVIDENCE_BINS,
+    NO_TABLE,
     Cost,
     PixelEvidence,
+    evidence_table,
     prepared,
     prepared_pixels,
 )
 from pipelines.lightfield.devices import Device, chosen_gpu
 from pipelines.lightfield.kernels import NO_COMPARISON, render_nets, render_tiles
+from pipelines.lightfield.native_plane import NativePlane
 from pipelines.lightfield.proxy import SOURCE_VIEWS, Quality, cell_size
 from pipelines.lightfield.proxy import usual_inverse_depth as median_inverse_depth
 from pipelines.lightfield.proxy_kernels import choose_sources, depth_surfaces, plane_surfaces
@@ -49,7 +51,6 @@ PIXELS_TOGETHER = 80_000
 # Their surfaces are kept for a moment.
 SURFACE_PIXELS_TOGETHER = 320_000
 ONE = np.float32(1.0)
-NO_TABLE = np.empty(0, dtype=np.float32)
 
 
 @dataclass(frozen=True)
@@ -151,6 +152,10 @@ class Renderer:
             is_net=blending is Blending.DELAUNAY,
         )
         self._spaces = Workspaces(self._field)
+        self._native: NativePlane | None = None
+        if quality is Quality.PLANE and blending is Blending.UNSTRUCTURED:
+            index = self._field.view_index
+            self._native = NativePlane(self.views.arrays, index, usable, plane)
 
     @classmethod
     def of_scene(
@@ -282,10 +287,16 @@ class Renderer:
             chosen, target = prepared_pixels(query)
         if evidence is not None:
             target[..., 3] *= ONE + evidence.rows(target[..., :3])
+        native = self._native
         surfaces = self._surfaces(poses, intrinsics, chosen)
         vector, kind = intrinsics.vector(), int(cost)
 
         def score(part: slice) -> None:
+            if native is not None:
+                costs[part] = native.costs(
+                    poses[part], intrinsics, chosen, target, cost, fit_gain, table
+                )
+                return
             image = aligned(target.size, np.float32).reshape((1, *target.shape))
             own, result = surfaces(part), costs[part]
             self._render(
@@ -308,6 +319,9 @@ class Renderer:
         """
         poses = np.ascontiguousarray(world_from_camera, dtype=np.float64)
         shape = (len(poses), intrinsics.height, intrinsics.width)
+        if self._native is not None:
+            drawn, depths = self._native.draw(poses, intrinsics, every_pixel(intrinsics))
+            return drawn.reshape((*shape, 4)), depths.reshape(shape)
         images = np.empty((*shape, 4), dtype=np.float32)
         no_query, no_costs = np.empty((0, 0, 4), dtype=np.float32), np.empty(0)
         chosen = every_pixel(intrinsics)
@@ -413,19 +427,6 @@ def _surface_pixels(intrinsics: Intrinsics, chosen: Int32Array) -> Int32Array:
     for positions in (tile_borders, outlook_positions, frustum_positions):
         is_needed[np.ix_(positions(intrinsics.height), positions(intrinsics.width))] = True
     return np.flatnonzero(is_needed).astype(np.int32)
-
-
-def evidence_table(cost: Cost, evidence: PixelEvidence | None) -> Float32Array:
-    """What the comparison looks up, see ``compare``; nothing for any cost but EVIDENCE.
-
-    Raises:
-        OptionError: EVIDENCE without a table, or another cost with one.
-    """
-    if (cost is Cost.EVIDENCE) != (evidence is not None):
-        raise OptionError("the cost EVIDENCE, and no other, takes a table of evidence")
-    if evidence is None:
-        return NO_TABLE
-    return np.append(np.zeros(EVIDENCE_BINS, np.float32), evidence.table.reshape(-1))
 
 
 def check_query(query: ImageArray | Float32Array, intrinsics: Intrinsics) -> None:

@@ -1,0 +1,182 @@
+// Pixels that none of the photos of their tile shows: which other photo does.
+//
+// Most such pixels are shown by no photo at all. So photos are ruled out for whole regions first:
+// the surface points of a rectangle of pixels are within a box of columns, rows and inverse depths,
+// and places in a photo are linear in these; where all corners of the box are beyond the same
+// border of a photo, everything between them is.
+
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <limits>
+#include <span>
+#include <vector>
+
+#include "homography.hpp"
+#include "light_field.hpp"
+
+namespace lfnav::LFNAV_LEVEL {
+
+/// A pixel that is to be rendered.
+struct RenderedPixel {
+    float x, y, inverse_depth;
+};
+
+/// Around some pixels.
+struct PixelBox {
+    static constexpr double LARGEST = std::numeric_limits<double>::infinity();
+    double x[2] = {LARGEST, -LARGEST}, y[2] = {LARGEST, -LARGEST}, d[2] = {LARGEST, -LARGEST};
+
+    void add(const RenderedPixel& pixel) {
+        const auto grow = [](double* range, float value) {
+            range[0] = std::min(range[0], static_cast<double>(value));
+            range[1] = std::max(range[1], static_cast<double>(value));
+        };
+        grow(x, pixel.x);
+        grow(y, pixel.y);
+        grow(d, pixel.inverse_depth);
+    }
+
+    bool is_empty() const { return x[0] > x[1]; }
+};
+
+/// Whether a photo may show a point of a box.
+inline bool may_show(const Photos& photos, std::size_t photo, const Homography& homography,
+                     const PixelBox& box) {
+    const std::int64_t* const size = photos.level_size + 2 * photos.levels * photo;
+    const double right = static_cast<double>(size[0]) - 0.5;
+    const double bottom = static_cast<double>(size[1]) - 0.5;
+    int behind = 0, left_of = 0, right_of = 0, above = 0, below = 0;
+    for (std::size_t corner = 0; corner < 8; ++corner) {
+        const double x = box.x[corner % 2], y = box.y[corner / 2 % 2], d = box.d[corner / 4];
+        const double u = homography.row(0, x, y, d), v = homography.row(1, x, y, d);
+        const double w = homography.row(2, x, y, d);
+        behind += w <= 0.0 ? 1 : 0;
+        left_of += u < -0.5 * w ? 1 : 0;
+        right_of += u > right * w ? 1 : 0;
+        above += v < -0.5 * w ? 1 : 0;
+        below += v > bottom * w ? 1 : 0;
+    }
+    return std::max({behind, left_of, right_of, above, below}) < 8;
+}
+
+/// Where a recording centre projects to in the virtual image.
+struct ProjectedCentre {
+    double x, y;
+
+    ProjectedCentre(const double* centre, const VirtualCamera& camera) {
+        // Relative to its distance a centre is at least this deep: projections stay finite.
+        constexpr double SMALLEST_DEPTH = 1e-7;
+        double own[3] = {};
+        for (std::size_t i = 0; i < 3; ++i) {
+            const double offset = centre[i] - camera.pose[4 * i + 3];
+            for (std::size_t j = 0; j < 3; ++j) {
+                own[j] += camera.pose[4 * i + j] * offset;
+            }
+        }
+        const double smallest = std::max(
+            SMALLEST_DEPTH * std::sqrt(own[0] * own[0] + own[1] * own[1] + own[2] * own[2]),
+            1e-300);
+        const double depth = std::abs(own[2]) < smallest ? smallest : own[2];
+        x = camera.fx * own[0] / depth + camera.cx;
+        y = camera.fy * own[1] / depth + camera.cy;
+    }
+};
+
+/// Finds the photos for pixels; memory of it is used again.
+class HoleFilling {
+  public:
+    /// Of a pixel that a photo shows: which they are.
+    struct Found {
+        std::size_t pixel, photo;
+    };
+
+    /// Finds for each uncovered pixel the photo with the nearest projected centre that shows it.
+    ///
+    /// @param homography: makes that of a photo, or has it.
+    /// @param pixels: of the image that is made, row by row.
+    /// @param image: (P, 4) where the last number is 0, the pixel is not covered.
+    template <typename HomographyOf>
+    std::span<const Found> operator()(const Photos& photos, const VirtualCamera& camera,
+                                      HomographyOf homography,
+                                      std::span<const RenderedPixel> pixels, const float* image) {
+        found_.clear();
+        candidates_.clear();
+        const auto is_hole = [&](std::size_t i) {
+            return image[4 * i + 3] == 0.0F && pixels[i].inverse_depth > 0.0F;
+        };
+        PixelBox all;
+        for (std::size_t i = 0; i < pixels.size(); ++i) {
+            if (is_hole(i)) {
+                all.add(pixels[i]);
+            }
+        }
+        if (all.is_empty()) {
+            return {};
+        }
+        for (std::size_t photo = 0; photo < photos.count; ++photo) {
+            if (photos.usable[photo] && may_show(photos, photo, homography(photo), all)) {
+                candidates_.push_back(photo);
+            }
+        }
+        std::size_t last = 0;
+        while (last < pixels.size() && !candidates_.empty()) {
+            const std::size_t first = last;
+            PixelBox box;
+            for (; last < pixels.size() && pixels[last].y == pixels[first].y; ++last) {
+                if (is_hole(last)) {
+                    box.add(pixels[last]);
+                }
+            }
+            if (box.is_empty()) {
+                continue;
+            }
+            in_row_.clear();
+            for (const std::size_t photo : candidates_) {
+                if (may_show(photos, photo, homography(photo), box)) {
+                    in_row_.push_back(photo);
+                }
+            }
+            for (std::size_t i = first; i < last && !in_row_.empty(); ++i) {
+                if (is_hole(i)) {
+                    find(photos, camera, homography, pixels[i], i);
+                }
+            }
+        }
+        return found_;
+    }
+
+  private:
+    template <typename HomographyOf>
+    void find(const Photos& photos, const VirtualCamera& camera, HomographyOf homography,
+              const RenderedPixel& pixel, std::size_t number) {
+        const double x = static_cast<double>(pixel.x), y = static_cast<double>(pixel.y);
+        double shortest = std::numeric_limits<double>::infinity();
+        std::size_t nearest = photos.count;
+        for (const std::size_t photo : in_row_) {
+            const Place place =
+                homography(photo).locate(x, y, static_cast<double>(pixel.inverse_depth));
+            if (place.depth <= 0.0 || !is_inside(photos, photo, place)) {
+                continue;
+            }
+            const ProjectedCentre centre(photos.centres + 3 * photo, camera);
+            const double across = centre.x - x, down = centre.y - y;
+            const double distance = across * across + down * down;
+            if (distance < shortest) {
+                shortest = distance;
+                nearest = photo;
+            }
+        }
+        if (nearest < photos.count) {
+            found_.push_back({number, nearest});
+        }
+    }
+
+    std::vector<Found> found_;
+    std::vector<std::size_t> candidates_, in_row_;
+};
+
+}  // namespace lfnav::LFNAV_LEVEL

@@ -1,0 +1,113 @@
+// From virtual pixels to world directions, to the plane, and into photos.
+
+#pragma once
+
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+
+#include "level.hpp"
+#include "light_field.hpp"
+
+namespace lfnav::LFNAV_LEVEL {
+
+/// A virtual camera, and the plane that it looks at.
+struct VirtualCamera {
+    /// (4, 4) world_from_camera.
+    const double* pose;
+    double fx, fy, cx, cy;
+    /// (3, 3) virtual pixels to world directions whose length along the optical axis is 1.
+    double rays[9];
+    /// The plane's inverse depth at column x and row y is right x + down y + start, if positive.
+    double right, down, start;
+
+    VirtualCamera(const double* world_from_camera, const double* intrinsics, const double* plane)
+        : pose(world_from_camera),
+          fx(intrinsics[0]),
+          fy(intrinsics[1]),
+          cx(intrinsics[2]),
+          cy(intrinsics[3]) {
+        for (std::size_t i = 0; i < 3; ++i) {
+            const double x = pose[4 * i] / fx, y = pose[4 * i + 1] / fy;
+            rays[3 * i] = x;
+            rays[3 * i + 1] = y;
+            rays[3 * i + 2] = pose[4 * i + 2] - x * cx - y * cy;
+        }
+        double distance = plane[3];
+        for (std::size_t i = 0; i < 3; ++i) {
+            distance += plane[i] * pose[4 * i + 3];
+        }
+        // From behind nothing is seen.
+        const double scale = distance > 0.0 ? -1.0 / distance : 0.0;
+        right = scale * (plane[0] * rays[0] + plane[1] * rays[3] + plane[2] * rays[6]);
+        down = scale * (plane[0] * rays[1] + plane[1] * rays[4] + plane[2] * rays[7]);
+        start = scale * (plane[0] * rays[2] + plane[1] * rays[5] + plane[2] * rays[8]);
+    }
+
+    LFNAV_INLINE float inverse_depth(double x, double y) const {
+        const double value = right * x + down * y + start;
+        return static_cast<float>(value > 0.0 ? value : 0.0);
+    }
+
+    double focal() const { return 0.5 * (fx + fy); }
+};
+
+/// A place in a photo, and the depth of what is there, relative to the virtual one.
+struct Place {
+    double u, v, depth;
+};
+
+/// Where columns and rows count from in single precision, the middle of the virtual image: near it
+/// numbers are small. The same for all pixels, so that what one shows does not depend on which
+/// others are rendered.
+struct Middle {
+    std::int32_t x, y;
+};
+
+/// Into a photo: the virtual pixel p at inverse depth d is at map p + shift d.
+struct Homography {
+    double map[9], shift[3];
+    /// For columns and rows from the middle: coefficients of x, y, 1 and d.
+    float rows[3][4];
+
+    void set(const Photos& photos, std::size_t photo, const VirtualCamera& camera,
+             const Middle& middle) {
+        const double* const projection = photos.projection + 12 * photo;
+        for (std::size_t i = 0; i < 3; ++i) {
+            const double* const row = projection + 4 * i;
+            shift[i] = row[3];
+            for (std::size_t j = 0; j < 3; ++j) {
+                shift[i] += row[j] * camera.pose[4 * j + 3];
+                map[3 * i + j] = row[0] * camera.rays[j] + row[1] * camera.rays[3 + j] +
+                                 row[2] * camera.rays[6 + j];
+            }
+            const double* const own = map + 3 * i;
+            rows[i][0] = static_cast<float>(own[0]);
+            rows[i][1] = static_cast<float>(own[1]);
+            rows[i][2] = static_cast<float>(own[0] * middle.x + own[1] * middle.y + own[2]);
+            rows[i][3] = static_cast<float>(shift[i]);
+        }
+    }
+
+    double row(std::size_t i, double x, double y, double d) const {
+        return map[3 * i] * x + map[3 * i + 1] * y + map[3 * i + 2] + shift[i] * d;
+    }
+
+    /// The depth is 0 for points behind the photo's camera.
+    Place locate(double x, double y, double inverse_depth) const {
+        const double depth = row(2, x, y, inverse_depth);
+        if (!(depth > 0.0)) {
+            return {0.0, 0.0, 0.0};
+        }
+        return {row(0, x, y, inverse_depth) / depth, row(1, x, y, inverse_depth) / depth, depth};
+    }
+};
+
+/// Whether a place is inside a photo's image.
+inline bool is_inside(const Photos& photos, std::size_t photo, const Place& place) {
+    const std::int64_t* const size = photos.level_size + 2 * photos.levels * photo;
+    return place.u >= -0.5 && place.u <= static_cast<double>(size[0]) - 0.5 && place.v >= -0.5 &&
+           place.v <= static_cast<double>(size[1]) - 0.5;
+}
+
+}  // namespace lfnav::LFNAV_LEVEL

@@ -1,0 +1,265 @@
+#include "plane_renderer_binding.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <string>
+
+#include "array_argument.hpp"
+#include "plane_renderer.hpp"
+
+namespace nb = nanobind;
+
+namespace lfnav {
+
+namespace {
+
+template <typename Element>
+constexpr std::ptrdiff_t ANY = ArrayArgument<Element>::ANY;
+
+std::ptrdiff_t signed_size(std::size_t size) { return static_cast<std::ptrdiff_t>(size); }
+
+void check_range(std::span<const std::int32_t> values, std::int64_t least, std::int64_t end,
+                 const char* name) {
+    for (const std::int32_t value : values) {
+        if (value < least || value >= end) {
+            refuse_value(name, "numbers from " + std::to_string(least) + " to " +
+                                   std::to_string(end - 1) + " expected, got " +
+                                   std::to_string(value));
+        }
+    }
+}
+
+/// Columns, or rows, of an image, none of which goes back.
+void check_places(std::span<const std::int64_t> places, std::size_t length, const char* name) {
+    std::int64_t before = 0;
+    for (const std::int64_t place : places) {
+        if (place < before || place >= static_cast<std::int64_t>(length)) {
+            refuse_value(name, "rising numbers within the image expected");
+        }
+        before = place;
+    }
+}
+
+/// A light field whose surface is a plane: keeps its arrays, checked once.
+class PythonPlaneScene {
+  public:
+    PythonPlaneScene(nb::handle texels, nb::handle level_start, nb::handle level_size,
+                     nb::handle projection, nb::handle centres, nb::handle focal, nb::handle usable,
+                     nb::handle origin, nb::handle order, nb::handle numbers, nb::handle members,
+                     nb::handle blocks, nb::handle groups, nb::handle plane, nb::handle penalties,
+                     nb::handle most_ranked, nb::handle smallest_weight)
+        : texels_(texels, "texels", {ANY<std::uint8_t>, 4}),
+          level_start_(level_start, "level_start", {ANY<std::int64_t>, ANY<std::int64_t>}),
+          level_size_(level_size, "level_size", {photos(), levels(), 2}),
+          projection_(projection, "projection", {photos(), 3, 4}),
+          centres_(centres, "centres", {photos(), 3}),
+          focal_(focal, "focal", {photos()}),
+          usable_(usable, "usable", {photos()}),
+          origin_(origin, "origin", {3}),
+          order_(order, "order", {ANY<std::int32_t>}),
+          numbers_(numbers, "numbers", {signed_size(ranked() * PhotoIndex::PHOTO_NUMBERS)}),
+          members_(members, "members", {ANY<std::int32_t>}),
+          blocks_(blocks, "blocks", {signed_size(members_.shape(0) * PhotoIndex::PHOTO_NUMBERS)}),
+          groups_(groups, "groups", {signed_size(group_count() * PhotoIndex::GROUP_NUMBERS)}),
+          plane_(plane, "plane", {4}),
+          penalties_(penalties, "penalties", {4}),
+          most_ranked_(integer_between(1, std::numeric_limits<std::int32_t>::max(), most_ranked,
+                                       "most_ranked")),
+          smallest_weight_(positive_number(smallest_weight, "smallest_weight")) {
+        check_levels();
+        check_range(order_.span(), 0, photos(), "order");
+        check_range(members_.span(), -1, signed_size(ranked()), "members");
+        if (members_.shape(0) % PhotoIndex::GROUP_PHOTOS != 0) {
+            refuse_value("members", "groups of 16 expected");
+        }
+    }
+
+    PlaneScene scene() const {
+        const double* const penalty = penalties_.data();
+        const auto number = [&](std::size_t i) { return static_cast<float>(penalty[i]); };
+        return {{static_cast<std::size_t>(photos()), static_cast<std::size_t>(levels()),
+                 texels_.data(), level_start_.data(), level_size_.data(), projection_.data(),
+                 centres_.data(), focal_.data(), usable_.data()},
+                {ranked(), group_count(), origin_.data(), order_.data(), numbers_.data(),
+                 members_.data(), blocks_.data(), groups_.data()},
+                plane_.data(),
+                {number(0), number(1), number(2), number(3)},
+                most_ranked_,
+                static_cast<float>(smallest_weight_)};
+    }
+
+  private:
+    std::ptrdiff_t photos() const { return signed_size(level_start_.shape(0)); }
+    std::ptrdiff_t levels() const { return signed_size(level_start_.shape(1)); }
+    std::size_t ranked() const { return order_.shape(0); }
+    std::size_t group_count() const { return members_.shape(0) / PhotoIndex::GROUP_PHOTOS; }
+
+    /// Each level's texels, one to the right of the last and a row below are there.
+    void check_levels() const {
+        if (levels() < 1 || levels() > 32) {
+            refuse_value("level_start", "from 1 to 32 levels expected");
+        }
+        const auto count = static_cast<std::int64_t>(texels_.shape(0));
+        for (std::size_t i = 0; i < level_start_.span().size(); ++i) {
+            const std::int64_t start = level_start_.data()[i];
+            const std::int64_t width = level_size_.data()[2 * i];
+            const std::int64_t height = level_size_.data()[2 * i + 1];
+            constexpr std::int64_t most = 1 << 15;
+            if (width < 1 || height < 1 || width > most || height > most) {
+                refuse_value("level_size", "sides from 1 to 32768 pixels expected");
+            }
+            if (start < 0 || start > count || (height + 1) * width + 2 > count - start) {
+                refuse_value("level_start", "a level ends beyond the texels");
+            }
+        }
+    }
+
+    ArrayArgument<std::uint8_t> texels_;
+    ArrayArgument<std::int64_t> level_start_, level_size_;
+    ArrayArgument<double> projection_, centres_, focal_;
+    ArrayArgument<bool> usable_;
+    ArrayArgument<double> origin_;
+    ArrayArgument<std::int32_t> order_;
+    ArrayArgument<float> numbers_;
+    ArrayArgument<std::int32_t> members_;
+    ArrayArgument<float> blocks_, groups_;
+    ArrayArgument<double> plane_, penalties_;
+    std::size_t most_ranked_;
+    double smallest_weight_;
+};
+
+/// Which views are rendered, checked.
+class ViewsArgument {
+  public:
+    ViewsArgument(nb::handle poses, nb::handle intrinsics, nb::handle across, nb::handle down,
+                  nb::handle outlook_across, nb::handle outlook_down, nb::handle pixels,
+                  nb::handle width, nb::handle height)
+        : poses_(poses, "poses", {ANY<double>, 4, 4}),
+          intrinsics_(intrinsics, "intrinsics", {ANY<double>}),
+          across_(across, "across", {ANY<std::int64_t>}),
+          down_(down, "down", {ANY<std::int64_t>}),
+          outlook_across_(outlook_across, "outlook_across", {4}),
+          outlook_down_(outlook_down, "outlook_down", {4}),
+          pixels_(pixels, "pixels", {ANY<std::int32_t>}),
+          width_(integer_between(1, 1 << 15, width, "width")),
+          height_(integer_between(1, 1 << 15, height, "height")) {
+        if (intrinsics_.shape(0) < 4) {
+            refuse_value("intrinsics", "fx, fy, cx, cy expected");
+        }
+        if (across_.shape(0) < 2 || down_.shape(0) < 2) {
+            refuse_value(across_.shape(0) < 2 ? "across" : "down", "at least two corners expected");
+        }
+        check_places(across_.span(), width_, "across");
+        check_places(down_.span(), height_, "down");
+        check_places(outlook_across_.span(), width_, "outlook_across");
+        check_places(outlook_down_.span(), height_, "outlook_down");
+        check_range(pixels_.span(), 0, signed_size(width_ * height_), "pixels");
+    }
+
+    std::size_t count() const { return poses_.shape(0); }
+    std::size_t pixels() const { return pixels_.shape(0); }
+
+    VirtualViews views() const {
+        return {poses_.data(),
+                count(),
+                intrinsics_.data(),
+                width_,
+                height_,
+                {across_.span(), down_.span(), outlook_across_.span(), outlook_down_.span()},
+                pixels_.span()};
+    }
+
+  private:
+    ArrayArgument<double> poses_, intrinsics_;
+    ArrayArgument<std::int64_t> across_, down_, outlook_across_, outlook_down_;
+    ArrayArgument<std::int32_t> pixels_;
+    std::size_t width_, height_;
+};
+
+nb::tuple python_render(const PythonPlaneScene& self, nb::handle poses, nb::handle intrinsics,
+                        nb::handle across, nb::handle down, nb::handle outlook_across,
+                        nb::handle outlook_down, nb::handle pixels, nb::handle width,
+                        nb::handle height) {
+    const ViewsArgument views(poses, intrinsics, across, down, outlook_across, outlook_down, pixels,
+                              width, height);
+    NewArray<float> images({views.count(), views.pixels(), 4});
+    NewArray<float> inverse_depths({views.count(), views.pixels()});
+    const PlaneScene scene = self.scene();
+    {
+        const nb::gil_scoped_release unlocked;
+        LFNAV_BEST(render)(scene, views.views(), images.values.data(),
+                           inverse_depths.values.data());
+    }
+    return nb::make_tuple(images.array, inverse_depths.array);
+}
+
+nb::object python_costs(const PythonPlaneScene& self, nb::handle poses, nb::handle intrinsics,
+                        nb::handle across, nb::handle down, nb::handle outlook_across,
+                        nb::handle outlook_down, nb::handle pixels, nb::handle width,
+                        nb::handle height, nb::handle query, nb::handle cost, bool fit_gain,
+                        nb::handle limits, nb::handle uncovered, nb::handle table,
+                        nb::handle evidence_bin) {
+    const ViewsArgument views(poses, intrinsics, across, down, outlook_across, outlook_down, pixels,
+                              width, height);
+    const MaskedImageArgument wanted(query, "query");
+    const MaskedImage image = wanted;
+    if (image.width * image.height != views.pixels()) {
+        refuse_value("query", "as many pixels as are rendered expected, got " +
+                                  std::to_string(image.width * image.height));
+    }
+    const ArrayArgument<double> most(limits, "limits", {3}), costs(uncovered, "uncovered", {4});
+    const ArrayArgument<float> evidence(table, "table", {ANY<float>, ANY<float>});
+    const auto kind = static_cast<Cost>(integer_between(0, 4, cost, "cost"));
+    if (kind == Cost::EVIDENCE) {
+        const auto rows = static_cast<float>(evidence.shape(0));
+        for (std::size_t i = 0; i < views.pixels(); ++i) {
+            if (!(image.data[4 * i + 3] >= 0.0F && image.data[4 * i + 3] < rows)) {
+                refuse_value("query", "a row of the table expected as each pixel's last number");
+            }
+        }
+        if (evidence.shape(1) == 0) {
+            refuse_value("table", "at least one bin expected");
+        }
+    }
+    const double *limit = most.data(), *of = costs.data();
+    const Comparison comparison{
+        kind,
+        image,
+        fit_gain,
+        {static_cast<float>(limit[0]), static_cast<float>(limit[1]), of[0], of[1], of[2], of[3],
+         limit[2], evidence.span(), evidence.shape(1),
+         static_cast<float>(positive_number(evidence_bin, "evidence_bin"))}};
+    NewArray<double> result({views.count()});
+    const PlaneScene scene = self.scene();
+    {
+        const nb::gil_scoped_release unlocked;
+        LFNAV_BEST(compare_views)(scene, views.views(), comparison, result.values.data());
+    }
+    return nb::cast(result.array);
+}
+
+}  // namespace
+
+void bind_plane_renderer(nb::module_& module) {
+    nb::class_<PythonPlaneScene>(module, "PlaneScene")
+        .def(nb::init<nb::handle, nb::handle, nb::handle, nb::handle, nb::handle, nb::handle,
+                      nb::handle, nb::handle, nb::handle, nb::handle, nb::handle, nb::handle,
+                      nb::handle, nb::handle, nb::handle, nb::handle, nb::handle>(),
+             nb::kw_only(), argument("texels"), argument("level_start"), argument("level_size"),
+             argument("projection"), argument("centres"), argument("focal"), argument("usable"),
+             argument("origin"), argument("order"), argument("numbers"), argument("members"),
+             argument("blocks"), argument("groups"), argument("plane"), argument("penalties"),
+             argument("most_ranked"), argument("smallest_weight"))
+        .def("render", &python_render, argument("poses"), argument("intrinsics"),
+             argument("across"), argument("down"), argument("outlook_across"),
+             argument("outlook_down"), argument("pixels"), argument("width"), argument("height"))
+        .def("costs", &python_costs, argument("poses"), argument("intrinsics"), argument("across"),
+             argument("down"), argument("outlook_across"), argument("outlook_down"),
+             argument("pixels"), argument("width"), argument("height"), argument("query"),
+             argument("cost"), nb::arg("fit_gain"), argument("limits"), argument("uncovered"),
+             argument("table"), argument("evidence_bin"));
+}
+
+}  // namespace lfnav

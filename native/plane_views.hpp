@@ -1,0 +1,75 @@
+// What is rendered and compared: a light field whose surface is a plane, virtual views, and costs.
+
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <span>
+
+#include "image.hpp"
+#include "light_field.hpp"
+
+namespace lfnav {
+
+/// Constants of the penalty, of which blending.py says what they are.
+struct PenaltySettings {
+    float resolution, border, smallest_margin, smallest;
+};
+
+/// Where points are ranked in images of one size: columns and rows of the tiles' corners, and of
+/// the points of the outlook.
+struct Grid {
+    std::span<const std::int64_t> across, down, outlook_across, outlook_down;
+};
+
+/// Kinds of comparison, see pipelines/lightfield/comparison.py.
+enum class Cost { SQUARED, ROBUST, ZNCC, GRADIENT, EVIDENCE };
+
+struct CostSettings {
+    /// Limits of differences, grey levels.
+    float robust_limit, gradient_limit;
+    /// What an uncovered pixel costs.
+    double uncovered_squared, uncovered_robust, uncovered_zncc, uncovered_gradient;
+    double largest_gain;
+    /// Of EVIDENCE: rows of so many bins of so many grey levels; the first row is zeros.
+    std::span<const float> evidence;
+    std::size_t evidence_bins;
+    float evidence_bin;
+};
+
+/// A light field and how it is rendered.
+struct PlaneScene {
+    Photos photos;
+    PhotoIndex index;
+    /// (4,) unit normal and offset; the photos' cameras are on its positive side.
+    const double* plane;
+    PenaltySettings penalties;
+    /// More photos than these are narrowed down before they are ranked.
+    std::size_t most_ranked;
+    /// Below this sum of weights the photos of a tile do not show a pixel.
+    float smallest_weight;
+};
+
+/// Which pixels of which virtual cameras are rendered.
+struct VirtualViews {
+    /// (B, 4, 4) world_from_camera.
+    const double* poses;
+    std::size_t count;
+    /// (4,) fx, fy, cx, cy.
+    const double* intrinsics;
+    std::size_t width, height;
+    Grid grid;
+    /// Indices of the pixels in the image, rising.
+    std::span<const std::int32_t> pixels;
+};
+
+/// What views are compared with.
+struct Comparison {
+    Cost cost;
+    /// As many pixels as are rendered.
+    MaskedImage query;
+    bool fit_gain;
+    CostSettings settings;
+};
+
+}  // namespace lfnav
