@@ -45,12 +45,14 @@ class Search:
         seen: numbers of the directions looked at, ``round(heading / TURN)`` modulo ``DIRECTIONS``.
         steps: movements since it began.
         direction: +1 or -1, the way it last turned.
+        hints: small turns made because something in view looked like the map.
     """
 
     heading: float = 0.0
     seen: frozenset[int] = frozenset()
     steps: int = 0
     direction: int = 1
+    hints: int = 0
 
     @property
     def number(self) -> int:

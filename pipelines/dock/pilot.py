@@ -60,6 +60,9 @@ SIGMAS = 2.0
 LEAST_AWAITED = 0.3
 # A turn that tries out whether a new belief holds, radians.
 SMALLEST_TRIAL, LARGEST_TRIAL = 0.05, 0.15
+# A robot that looks round and may have been found, with this confidence, keeps what it sees
+# in view for another image; so often in one search.
+HINT_CONFIDENCE, MOST_HINTS = 0.1, 6
 
 
 class Phase(Enum):
@@ -260,6 +263,10 @@ class Pilot:
         elif memory.phase is not Phase.SEARCHING and abs(measured.turn) > SMALLEST_TRIAL:
             movement = Movement(turn=-measured.turn)
             memory = replace(memory, lost_views=memory.lost_views + 1)
+        elif _is_hint(fix) and memory.search.hints < MOST_HINTS:
+            # What another image would confirm stays in view.
+            movement = self._trial(fix, memory.search)
+            search = replace(search, hints=search.hints + 1)
         again = replace(
             memory, phase=Phase.SEARCHING, search=search, alignment_steps=0, docked_images=0
         )
@@ -414,3 +421,8 @@ class Pilot:
                 ),
             )
         return Decision(replace(memory, refused=refused), allowed)
+
+
+def _is_hint(fix: Fix) -> bool:
+    """Whether an image shows something of the map that another image would confirm."""
+    return fix.status == "global" and fix.confidence >= HINT_CONFIDENCE
