@@ -1,7 +1,6 @@
 """The particle filter in front of a painted wall whose views are true by construction."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -16,9 +15,6 @@ from pipelines.lightfield.renderer import Renderer
 from pipelines.localize.likelihood import likelihood_named
 from pipelines.localize.localizer import Localizer
 from pipelines.localize.measurement_model import MeasurementModel
-from pipelines.localize.motion import MotionModel
-from pipelines.localize.observation import Observations
-from pipelines.localize.refinement import Prior, Refined
 from pipelines.localize.settings import LocalizerSettings
 from tests.drive_samples import (
     BLACK,
@@ -457,36 +453,6 @@ def test_a_measurement_model_can_be_shared() -> None:
     for _ in range(2):
         shared = Localizer(SCENE, CAMERA, MOUNT, chosen, np.random.default_rng(0), model)
         assert [content(record) for record in drive(shared, TRUTH[:3])] == expected
-
-
-class Misled(MeasurementModel):
-    """Alignments by the image alone end aside, and are as sure as ever."""
-
-    aside = np.zeros(3)
-
-    def aligned(
-        self,
-        state: FloatArray,
-        observations: Observations,
-        widths: Sequence[int],
-        prior: Prior | None = None,
-    ) -> Refined:
-        found = super().aligned(state, observations, widths, prior)
-        return found if prior else replace(found, state=found.state + self.aside)
-
-
-def test_an_alignment_that_loses_evidence_moves_nothing() -> None:
-    # 3 cm aside is well within the gate after a motion that may be that wrong.
-    chosen = informed_settings(motion=MotionModel(position_floor=0.05))
-    model = Misled.of_scene(SCENE, MOUNT, chosen)
-    assert isinstance(model, Misled)
-    robot = Localizer(SCENE, CAMERA, MOUNT, chosen, np.random.default_rng(0), model)
-    motions = increments(TRUTH)
-    for number, (state, motion) in enumerate(zip(TRUTH[:6], motions, strict=False)):
-        model.aside = np.array([0.03, 0.0, 0.0]) if number >= 4 else np.zeros(3)
-        record = robot.step(photo(state), motion, float(number))
-    assert record.status == "tracking"
-    assert position_error(record, state, "refined") < 0.01
 
 
 def test_a_distorted_camera_is_undistorted_before_it_is_compared() -> None:

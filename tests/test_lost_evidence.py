@@ -1,0 +1,45 @@
+"""An alignment that ends where the image has less evidence is left out of the track."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pipelines.artifacts.array_types import FloatArray
+from pipelines.localize.localizer import Localizer
+from pipelines.localize.measurement_model import MeasurementModel
+from pipelines.localize.motion import MotionModel
+from pipelines.localize.observation import Observations
+from pipelines.localize.refinement import Prior, Refined
+from tests.drive_samples import SCENE, TRUTH, increments, informed_settings, position_error
+from tests.report_samples import CAMERA, MOUNT, photo
+
+
+class Misled(MeasurementModel):
+    """Alignments by the image alone end aside, and are as sure as ever."""
+
+    aside = np.zeros(3)
+
+    def aligned(
+        self,
+        state: FloatArray,
+        observations: Observations,
+        widths: Sequence[int],
+        prior: Prior | None = None,
+    ) -> Refined:
+        found = super().aligned(state, observations, widths, prior)
+        return found if prior else replace(found, state=found.state + self.aside)
+
+
+def test_an_alignment_that_loses_evidence_moves_nothing() -> None:
+    # 3 cm aside is well within the gate after a motion that may be that wrong.
+    chosen = informed_settings(motion=MotionModel(position_floor=0.05))
+    model = Misled.of_scene(SCENE, MOUNT, chosen)
+    assert isinstance(model, Misled)
+    robot = Localizer(SCENE, CAMERA, MOUNT, chosen, np.random.default_rng(0), model)
+    motions = increments(TRUTH)
+    for number, (state, motion) in enumerate(zip(TRUTH[:6], motions, strict=False)):
+        model.aside = np.array([0.03, 0.0, 0.0]) if number >= 4 else np.zeros(3)
+        record = robot.step(photo(state), motion, float(number))
+    assert record.status == "tracking"
+    assert position_error(record, state, "refined") < 0.01
