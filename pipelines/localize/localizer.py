@@ -28,7 +28,7 @@ from pipelines.localize.estimate import (
 from pipelines.localize.informed import Informed
 from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.motion import checked_increment
-from pipelines.localize.observation import Observations, Observer
+from pipelines.localize.observation import Observation, Observations, Observer
 from pipelines.localize.run import FrameRecord
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import sigmas_of, state_space_of_dimension
@@ -212,12 +212,16 @@ class Localizer:
         if not self._is_same_place(state, main.state):
             state = main.state
         fine = observations.by_width[self.settings.fine_width]
-        share = self._model.explained(state, fine)
+        evidence = self._evidence(state, fine)
         # A place of which the image shows nothing is not spoken for.
-        speaks = float(self._model.evidence(state[None], fine)[0]) > 0.0
-        self._likely_images = self._likely_images + 1 if speaks else 0
+        self._likely_images = self._likely_images + 1 if evidence > 0.0 else 0
         least = CONFIRMING_SHARE if self.settings.start is None else STARTING_SHARE
+        share = self._model.explained_by(evidence, fine)
         return self._likely_images >= CONFIRMING_IMAGES or share >= least
+
+    def _evidence(self, state: FloatArray, observation: Observation) -> float:
+        """What an image says for one state ``(D,)``."""
+        return float(self._model.evidence(state[None], observation)[0])
 
     @property
     def _alignment_widths(self) -> list[int]:
@@ -244,9 +248,9 @@ class Localizer:
         is_usable = math.isfinite(aligned.error) and bool(np.all(np.isfinite(aligned.covariance)))
         # Where light or contents have changed, errors are larger than an image's own tiles tell.
         # Where the image was aligned: at the prediction it would be motion that is not explained.
-        shares = [
-            self._model.explained(aligned.state, observations.by_width[width]) for width in widths
-        ]
+        images = [observations.by_width[width] for width in widths]
+        evidence = [self._evidence(aligned.state, image) for image in images]
+        shares = list(map(self._model.explained_by, evidence, images))
         usual = MODEL_ERROR**2
         doubt = usual / shares[0] ** 2
         # A blurred image is explained from afar, but aligned by its blurred details: errors of
@@ -259,15 +263,13 @@ class Localizer:
             return Track(aligned.state, doubt * aligned.covariance, 0, aligned.state, blur)
         # What is minimised is not what says where the body is: an alignment that loses evidence
         # has given up what fits for a compromise with what does not.
-        finest = observations.by_width[widths[-1]]
-        before = float(self._model.evidence(start[None], finest)[0])
+        before = self._evidence(start, images[-1])
         least = before - max(EVEN, EVEN_SHARE * abs(before))
-        is_better = is_usable and self._model.evidence(aligned.state[None], finest)[0] >= least
         # An image that is explained less counts less, but is left out as soon as any other.
-        if is_better and track.accepts(self.space, aligned, usual):
+        if is_usable and evidence[-1] >= least and track.accepts(self.space, aligned, usual):
             return replace(track.updated(self.space, aligned, doubt), blur=blur)
         held = self._model.aligned(start, observations, widths, track.prior(doubt))
-        if self._model.evidence(held.state[None], finest)[0] < least:
+        if self._evidence(held.state, images[-1]) < least:
             return track.without_image()
         return replace(track.held(self.space, held), blur=blur)
 

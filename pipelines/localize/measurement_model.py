@@ -169,12 +169,20 @@ class MeasurementModel:
             1 where the image is explained as well as the map's own photos are by each other, less
             where light or contents have changed; at most 1, and never below ``LEAST_EXPLAINED``.
         """
+        return self.explained_by(float(self.evidence(state[None], observation)[0]), observation)
+
+    def explained_by(self, evidence: float, observation: Observation) -> float:
+        """The same, for a state whose evidence is known.
+
+        Args:
+            evidence: of the image for the state.
+            observation: the image.
+        """
         own = observation.in_channels(self.channels)
         pixels = self.pixels(own.intrinsics.width)
         rows = pixels.rows(own.image[own.used]).astype(np.int64)
         expected = self._absolute.sharpness * float(pixels.expected[rows].sum()) / own.used.size
-        found = float(self.evidence(state[None], observation)[0])
-        return min(max(found / max(expected, 1e-9), LEAST_EXPLAINED), 1.0)
+        return min(max(evidence / max(expected, 1e-9), LEAST_EXPLAINED), 1.0)
 
     @property
     def is_absolute(self) -> bool:
