@@ -32,6 +32,7 @@ from pipelines.localize.search import GLANCE, THOROUGH, Search
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import StateSpace, sigmas_of
 from pipelines.localize.strategies import PROMISING, Update
+from pipelines.localize.usual import Usual
 from pipelines.localize.walking import (
     FITTING_SHARE,
     PROVING_SHARE,
@@ -39,7 +40,6 @@ from pipelines.localize.walking import (
     SPEED_GROWTHS,
     UNKNOWN_MOTION_SEARCHED,
     UNKNOWN_MOTION_SHARE,
-    UsualFit,
     widened,
 )
 
@@ -65,7 +65,7 @@ UNDECIDED_SHARE = 0.05
 UNDECIDED_MODE_SHARE = 0.95
 # An image that says less than this share of what images usually say raises the question whether the
 # body is somewhere else.
-DOUBTFUL_SHARE, USUAL_RATE = 0.5, 0.2
+DOUBTFUL_SHARE = 0.5
 # The proposal is this much wider than the likelihood, and never narrower than metres and radians.
 WIDENING = 1.5
 SMALLEST_POSITION, SMALLEST_ANGLE = 0.005, math.radians(0.15)
@@ -122,8 +122,7 @@ class Informed:
         self._faults = CameraFaults()
         self._faults_are_known = False
         self._start_was_contradicted = False
-        self._usual: float | None = None
-        self._usual_fit = UsualFit()
+        self._usual_evidence, self._usual_fit = Usual(), Usual()
         self._calibration = uncalibrated(model.space.dimension)
         self._increment: FloatArray | None = None
         self._velocity: FloatArray | None = None
@@ -173,13 +172,11 @@ class Informed:
             weighted.explained, PROVING_SHARE
         )
         if self._presence.inside >= PRESENT:
-            usual = weighted.evidence if self._usual is None else self._usual
-            self._usual = usual + USUAL_RATE * (weighted.evidence - usual)
+            self._usual_evidence = self._usual_evidence.updated(weighted.evidence)
             if self._is_walking:
                 self._usual_fit = self._usual_fit.updated(weighted.explained)
         self._belief = weighted.belief
-        update = self._update(self._belief, prediction, motion, weighted.largest)
-        return replace(update, proves_nothing=proves_nothing)
+        return self._update(self._belief, prediction, motion, weighted.largest, proves_nothing)
 
     def _update(
         self,
@@ -187,6 +184,7 @@ class Informed:
         prediction: Prediction,
         motion: FloatArray | None,
         largest: float = -math.inf,
+        proves_nothing: bool = False,
     ) -> Update:
         """What is known now, and by which motion it was carried on."""
         self._modes = find_modes(belief)
@@ -198,6 +196,7 @@ class Informed:
             prediction.position_sigma,
             prediction.angle_sigma,
             largest >= PROMISING,
+            proves_nothing,
         )
 
     def _explained(
@@ -231,8 +230,8 @@ class Informed:
         if observations.uncovers:
             # What was concluded from a view that was partly hidden may be wrong.
             return MOST_CARRIED
-        usual = PROMISING if self._usual is None else DOUBTFUL_SHARE * self._usual
-        if evidence >= usual:
+        usual = self._usual_evidence.mean
+        if evidence >= (PROMISING if usual is None else DOUBTFUL_SHARE * usual):
             return 0.0
         return max(CARRIED, MOST_CARRIED * (1.0 - before.updated(evidence).inside))
 

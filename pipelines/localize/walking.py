@@ -6,7 +6,7 @@ place, however much better it fits there than elsewhere: far away something may 
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from pipelines.localize.prediction import Prediction
 
@@ -22,28 +22,6 @@ UNKNOWN_MOTION_SHARE, UNKNOWN_MOTION_SEARCHED = 0.1, 8
 # An image that is explained less than the first share of how well images usually are does not fit
 # yet; less than the second, and it proves no place.
 FITTING_SHARE, PROVING_SHARE = 0.7, 0.5
-# How fast what is usual follows.
-EXPLAINED_RATE = 0.2
-
-
-@dataclass(frozen=True)
-class UsualFit:
-    """How well images are usually explained.
-
-    Attributes:
-        explained: a running mean; None before the first image.
-    """
-
-    explained: float | None = None
-
-    def updated(self, explained: float) -> "UsualFit":
-        """After one more image."""
-        usual = explained if self.explained is None else self.explained
-        return UsualFit(usual + EXPLAINED_RATE * (explained - usual))
-
-    def is_poor(self, explained: float, share: float) -> bool:
-        """Whether an image is explained less than this share of the usual."""
-        return self.explained is not None and explained < share * self.explained
 
 
 def widened(prediction: Prediction, anywhere_share: float) -> Prediction:
