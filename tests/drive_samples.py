@@ -100,22 +100,33 @@ def heading_error(record: FrameRecord, truth: FloatArray, estimate: str = "mode"
     return abs(float(wrap_angle(record.estimates[estimate][2] - truth[2])))
 
 
+def scene_of(
+    images: Sequence[ImageArray],
+    poses: FloatArray,
+    bounds: Sequence[float],
+    mount: FloatArray | None = MOUNT,
+) -> Scene:
+    """The wall's plane and camera with other photos, taken at ``world_from_camera`` (N, 4, 4)."""
+    encoded = tuple(encode_png(image) for image in images)
+    index = np.zeros(len(encoded), dtype=np.int64)
+    return replace(
+        SCENE,
+        image_names=tuple(f"{number}.png" for number in range(len(encoded))),
+        encoded_images=encoded,
+        timestamps=np.arange(float(len(encoded))),
+        camera_index=index,
+        world_from_camera=poses,
+        base_from_camera=mount,
+        bounds=np.array(bounds),
+        identifier=identifier_of(encoded, SCENE.cameras, index, poses, SCENE.surface, mount),
+    )
+
+
 def periodic_scene() -> Scene:
     """The map now shows two periods of the painting, so that each view is there twice.
 
     Photos are taken a sixth of a period apart: what the map knows is there twice as well.
     """
     states = np.array([facing_wall(x, 2.0) for x in np.arange(-5.0, 8.0, PERIOD / 6.0)])
-    poses = world_from_base_planar(states) @ MOUNT
-    images = tuple(encode_png(photo(state)) for state in states)
-    index = np.zeros(len(states), dtype=np.int64)
-    return replace(
-        SCENE,
-        image_names=tuple(f"{number}.png" for number in range(len(states))),
-        encoded_images=images,
-        timestamps=np.arange(float(len(states))),
-        camera_index=index,
-        world_from_camera=poses,
-        bounds=np.array([-5.0, 7.0, -3.0, 0.0]),
-        identifier=identifier_of(images, SCENE.cameras, index, poses, SCENE.surface, MOUNT),
-    )
+    images = [photo(state) for state in states]
+    return scene_of(images, world_from_base_planar(states) @ MOUNT, [-5.0, 7.0, -3.0, 0.0])

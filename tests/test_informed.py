@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pipelines.artifacts.array_types import FloatArray
+from pipelines.localize.localizer import Localizer
 from pipelines.localize.run import FrameRecord
 from tests.drive_samples import (
     BLACK,
@@ -183,16 +184,22 @@ def test_particles_follow_a_robot_whose_wheels_are_worn() -> None:
 # --- without odometry --------------------------------------------------------------------------
 
 
+def walked(robot: Localizer, truth: FloatArray, largest_error: float) -> FrameRecord:
+    """The record of the last image of a robot that is followed by its images alone."""
+    for state in truth:
+        record = robot.step(photo(state))
+        assert record.status == "tracking"
+        assert position_error(record, state, "refined") < largest_error
+    return record
+
+
 def test_without_odometry_a_steady_motion_faster_than_the_random_walk_is_followed() -> None:
     # 0.3 m from image to image: two standard deviations of the walk, each time in the same way.
     truth = np.array([facing_wall(-1.5 + 0.3 * i, 1.7) for i in range(10)])
     chosen = informed_settings(start=tuple(map(float, truth[0])), start_position_sigma=0.05)
     for seed in range(3):
         robot = localizer(chosen, seed)
-        for state in truth:
-            record = robot.step(photo(state))
-            assert record.status == "tracking"
-            assert position_error(record, state, "refined") < 0.02
+        record = walked(robot, truth, 0.02)
         # Behind a covered lens it goes on as it did.
         blind = robot.step(BLACK)
         moved = blind.estimates["mode"] - record.estimates["refined"]
@@ -204,11 +211,7 @@ def test_a_prediction_that_is_off_does_not_make_an_image_count_less() -> None:
     truth = np.array([facing_wall(-0.5 + 0.12 * (i % 2), 1.7) for i in range(8)])
     chosen = informed_settings(start=tuple(map(float, truth[0])), start_position_sigma=0.05)
     for seed in range(2):
-        robot = localizer(chosen, seed)
-        for state in truth:
-            record = robot.step(photo(state))
-            assert record.status == "tracking"
-            assert position_error(record, state, "refined") < 0.015
+        walked(localizer(chosen, seed), truth, 0.015)
 
 
 # --- repeatable --------------------------------------------------------------------------------

@@ -1,23 +1,20 @@
 """Six degrees of freedom: a camera held in the hand before the painted wall."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from pipelines.artifacts.array_types import FloatArray
-from pipelines.dataset.images import encode_png
 from pipelines.geometry.pose import inverse, world_from_base_planar
-from pipelines.lightfield.bundle import identifier_of
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.localizer import Localizer
 from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.observation import Observer
 from pipelines.localize.run import FrameRecord
 from pipelines.localize.state_space import SPATIAL
-from tests.drive_samples import BLACK, SCENE, TRUTH, content, informed_settings
+from tests.drive_samples import BLACK, SCENE, TRUTH, content, informed_settings, scene_of
 from tests.lightfield_samples import looking
 from tests.report_samples import CAMERA, MOUNT, photo_from
 
@@ -174,19 +171,8 @@ def on_the_street(x: float, sway: float) -> FloatArray:
 def street(spacing: float = 2.0) -> Scene:
     """A photo every few metres, over sixty metres."""
     poses = np.array([on_the_street(x, 0.0) for x in np.arange(0.0, 61.0, spacing)])
-    images = tuple(encode_png(photo_from(pose, paint=facade)) for pose in poses)
-    index = np.zeros(len(poses), dtype=np.int64)
-    return replace(
-        SCENE,
-        image_names=tuple(f"{number}.png" for number in range(len(poses))),
-        encoded_images=images,
-        timestamps=np.arange(float(len(poses))),
-        camera_index=index,
-        world_from_camera=poses,
-        base_from_camera=None,
-        bounds=np.array([-1.0, 65.0, -6.0, 0.0]),
-        identifier=identifier_of(images, SCENE.cameras, index, poses, SCENE.surface, None),
-    )
+    images = [photo_from(pose, paint=facade) for pose in poses]
+    return scene_of(images, poses, [-1.0, 65.0, -6.0, 0.0], mount=None)
 
 
 def alone(seed: int, spacing: float, steps: Sequence[float]) -> tuple[int, int]:
