@@ -35,7 +35,7 @@ from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.localizer import Localizer
 from pipelines.localize.measurement_model import VIEW_RESOLUTION_FACTOR, MeasurementModel
-from pipelines.localize.run import FrameRecord
+from pipelines.localize.run import BY_ODOMETRY, FrameRecord
 from pipelines.localize.settings import LocalizerSettings
 
 
@@ -292,7 +292,7 @@ class _Loop:
             image, measured.vector() if number else None, timestamp, f"step {number:04d}"
         )
         self._filter_seconds += time.monotonic() - start
-        if frame.status not in ("blind", "stale"):
+        if frame.status not in BY_ODOMETRY:
             self._lost_images = self._lost_images + 1 if frame.status == "lost" else 0
         took = self._robot.seconds - spent
         return replace(frame, seconds={**frame.seconds, "robot": took})

@@ -11,7 +11,7 @@ from pipelines.artifacts.errors import InputError
 from pipelines.artifacts.json_fields import JsonFields
 from pipelines.localize.calibration import BINS
 from pipelines.localize.evaluation import RunEvaluation, evaluate_run
-from pipelines.localize.run import Run
+from pipelines.localize.run import BY_ODOMETRY, Run
 from pipelines.localize.state_errors import known_states
 from pipelines.localize.trust import trust_of
 
@@ -144,7 +144,7 @@ def judged(run: Run, cpu_seconds: float) -> RunResult:
     trust = trust_of(run, _truth(run))
     settled = _medians(errors[:, SETTLED:][:, has_truth[SETTLED:]])
     blind = [frame.confidence for frame in run.frames if frame.status == "blind"]
-    seeing = [frame.confidence for frame in run.frames if frame.status not in ("blind", "stale")]
+    seeing = [frame.confidence for frame in run.frames if frame.status not in BY_ODOMETRY]
     seconds = np.array([sum(frame.seconds.values()) for frame in run.frames])
     statuses = np.array([frame.status for frame in run.frames])
     searched = statuses == "global"

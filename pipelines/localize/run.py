@@ -36,6 +36,8 @@ from pipelines.localize.state_space import StateSpace, state_space_of_dimension
 FORMAT = "lfnav run"
 SCHEMA_VERSION = 2
 STATUSES = ("global", "tracking", "blind", "stale", "lost")
+# Of images that say nothing of where the body is: odometry alone carries the pose on.
+BY_ODOMETRY = ("blind", "stale")
 # What an alignment starts from is the answer where there is none: in a search, without an image.
 STAND_INS = {"refined": "mode"}
 # The first of these that the frames have stands for the run where nobody asks for another one.

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from pipelines.localize.evaluation import LAST_FRAMES, TrackEvaluation
-from pipelines.localize.run import Run
+from pipelines.localize.run import BY_ODOMETRY, Run
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ def verdict_of(run: Run, errors: TrackEvaluation | None) -> Verdict:
     if last.status == "global":
         sentence = "Not localized: at the last frame the filter was still searching."
         return Verdict("bad", sentence + addition + _lost_text(run))
-    if last.status in ("blind", "stale"):
+    if last.status in BY_ODOMETRY:
         sentence = (
             "By odometry alone: the last image shows nothing that the filter could compare with "
             "the model."
