@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -135,9 +135,7 @@ def test_the_frame_of_the_first_camera_is_named(seed: int, count: int) -> None:
         check_planar(camera_frame(planar_states(seed, count)), FILE)
 
 
-# The same examples each time: of random ones, a few (seed 198 with 12 poses) turn so that the poses
-# fit quaternions with w first as well, and that is named instead.
-@settings(derandomize=True)
+@example(198, 12, 0.0)
 @given(seeds, st.integers(12, 40), st.floats(-30.0, 30.0))
 def test_a_camera_in_a_level_world_is_named(seed: int, count: int, pitch: float) -> None:
     mount = pose_from_rotation(BASE_FROM_FORWARD_CAMERA, np.zeros(3))
