@@ -32,7 +32,7 @@ SEED := 0
 # On a larger machine: make test TEST_WORKERS='-n 4 --dist loadfile'.
 TEST_WORKERS :=
 
-.PHONY: help install demo demo-sfm demo-dock test test-slow test-lowest test-sanitized lint format bench clean
+.PHONY: help install demo demo-sfm demo-dock test test-slow test-lowest test-sanitized lint format bench bench-against clean
 
 help:
 	@echo "make install      a virtual environment in $(VENV) with lfnav in it"
@@ -43,6 +43,7 @@ help:
 	@echo "make test         the test suite; 'make test-slow' runs the slow tests"
 	@echo "make lint         ruff, mypy and clang-format"
 	@echo "make bench        measures particles, frames, views, starting, memory, the graphics card"
+	@echo "make bench-against REVISION=...  particles, views, alignments, depth maps beside an older revision"
 	@echo "make clean        removes out/ and caches; $(VENV) stays"
 
 # ---------------------------------------------------------------------------- installation
@@ -136,6 +137,10 @@ format: $(STAMP)
 
 bench: $(STAMP)
 	$(VENV_PYTHON) -m benchmarks.run
+
+# Beside an older revision, by default the last one with numba: make bench-against REVISION=v1.2
+bench-against: $(STAMP)
+	$(VENV_PYTHON) -m benchmarks.against $(REVISION)
 
 clean:
 	rm -rf out build .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from benchmarks import cold_start, run, scoring, tracking
+from benchmarks import against, cold_start, run, scoring, tracking
 from benchmarks import gpu as gpu_benchmark
 from benchmarks.comparison import (
     LIMIT,
@@ -267,3 +267,23 @@ def test_figures_of_a_card(scene: Scene, gpu: "Gpu", monkeypatch: pytest.MonkeyP
 def test_without_a_card_the_table_says_why(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "wgpu", None)
     assert "pip install" in gpu_benchmark.table(gpu_benchmark.measure(scene)["gpu"])
+
+
+class RecordedSide(against.Side):
+    """Takes so many seconds for everything, and writes down when it was asked."""
+
+    def __init__(self, name: str, seconds: float, asked: list[str]) -> None:
+        self.works = ["a view"]
+        self._name, self._seconds, self._asked = name, seconds, asked
+
+    def time(self, work: str, seconds: float) -> Timing:
+        self._asked.append(self._name)
+        # The first time everything is loaded.
+        return Timing(self._seconds if seconds else 1e3, self._seconds)
+
+
+def test_two_revisions_take_turns_and_loading_does_not_count() -> None:
+    asked: list[str] = []
+    sides = [RecordedSide("before", 0.5, asked), RecordedSide("now", 0.2, asked)]
+    assert against.compared(sides, "a view", turns=3) == [Timing(0.5, 0.5), Timing(0.2, 0.2)]
+    assert asked == ["before", "now"] * 4
