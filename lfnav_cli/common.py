@@ -110,14 +110,14 @@ blending_option = click.option(
 )
 
 
-def device_option(default: str | None = "auto") -> Callable[[Decorated], Decorated]:
+def device_option(default: str | None = "cpu") -> Callable[[Decorated], Decorated]:
     """``--device``; ``default`` None: whatever the config says."""
     return click.option(
         "--device",
         type=click.Choice(["auto", "cpu", "gpu"]),
         default=default,
-        help="Where views are rendered and compared. auto (the default): on a graphics card where "
-        'there is one, else on the CPU. A card needs pip install "lfnav[gpu]".',
+        help="Where views are rendered and compared: on the CPU (the default), on a graphics card, "
+        'or (auto) on a card where there is one. A card needs pip install "lfnav[gpu]".',
     )
 
 

@@ -64,7 +64,7 @@ OTHER: dict[str, tuple[Any, Any]] = {
     "with_pnp": (True, True),
     "proposal": ("both", "both"),
     "threads": (3, 3),
-    "device": (Device.CPU, "cpu"),
+    "device": (Device.AUTO, "auto"),
 }
 # Evidence, the default, fits no gain, nor does this cost unless it is told to.
 ALONG = {"likelihood.fit_gain": 'cost = "zncc"\n'}

@@ -172,13 +172,14 @@ def test_keys_stand_for_everything_that_goes_in(swept: Swept, tmp_path: Path) ->
     copied = planned_runs(read_sweep_config(tmp_path / "sweep.toml"), no_progress)
     assert [run.key for run in copied] == [run.key for run in runs[:4]]
     # What "auto" means is decided for all of them at once, and another device is another run.
-    here = resolved_device(Device.AUTO)
-    assert {run.settings.device for run in runs} == {here}
-    other = Device.GPU if here is Device.CPU else Device.CPU
-    on_other = config.replace("threads = 2", f'device = "{other}"')
-    (tmp_path / "sweep.toml").write_text(on_other, encoding="utf-8")
-    elsewhere = planned_runs(read_sweep_config(tmp_path / "sweep.toml"), no_progress)
-    assert not {run.key for run in elsewhere} & {run.key for run in runs}
+    assert {run.settings.device for run in runs} == {Device.CPU}
+    for device, meant in (("auto", resolved_device(Device.AUTO)), ("gpu", Device.GPU)):
+        on_other = config.replace("threads = 2", f'device = "{device}"')
+        (tmp_path / "sweep.toml").write_text(on_other, encoding="utf-8")
+        elsewhere = planned_runs(read_sweep_config(tmp_path / "sweep.toml"), no_progress)
+        assert {run.settings.device for run in elsewhere} == {meant}
+        is_other = meant is not Device.CPU
+        assert {run.key for run in elsewhere}.isdisjoint(run.key for run in runs) == is_other
     (tmp_path / "sweep.toml").write_text(config, encoding="utf-8")
     for name in ("rgb/0000.jpg", "groundtruth.txt", "odometry.txt"):
         original = (copy / name).read_bytes()

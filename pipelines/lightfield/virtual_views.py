@@ -51,7 +51,7 @@ class RenderSettings:
     blending: Blending = Blending.UNSTRUCTURED
     quality: str | None = None
     frames_per_second: float = 10.0
-    device: Device = Device.AUTO
+    device: Device = Device.CPU
 
     def __post_init__(self) -> None:
         if (self.pose is None) == (self.poses is None):

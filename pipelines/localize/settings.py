@@ -95,7 +95,7 @@ class LocalizerSettings:
     map_position_sigma: float = 0.01
     map_heading_sigma: float = math.radians(0.25)
     threads: int | None = None
-    device: Device = Device.AUTO
+    device: Device = Device.CPU
 
     def __post_init__(self) -> None:
         _one_of("method", self.method, METHODS)
