@@ -8,6 +8,7 @@
 #include "alignment_binding.hpp"
 #include "brightness_binding.hpp"
 #include "instruction_set.hpp"
+#include "mixture_density_binding.hpp"
 #include "plane_renderer_binding.hpp"
 
 namespace {
@@ -37,5 +38,6 @@ NB_MODULE(native, module) {
         "Name of the processor's level, of those that the core is compiled for.");
     lfnav::bind_alignment(module);
     lfnav::bind_brightness(module);
+    lfnav::bind_mixture_density(module);
     lfnav::bind_plane_renderer(module);
 }

@@ -102,6 +102,28 @@ def normal_equations(
         each tile (tiles, D + 2).
     """
 
+def log_mixture_density(
+    positions: FloatArray,
+    centres: FloatArray,
+    angles: FloatArray,
+    log_weights: FloatArray,
+    position_sigma: float,
+    angle_sigma: float,
+) -> FloatArray:
+    """Logarithm of a sum of isotropic normal distributions, but for their common factor.
+
+    Args:
+        positions: (M, P) where, metres.
+        centres: (N, P) of the distributions.
+        angles: (M, N) between the orientations of both, radians.
+        log_weights: (N,) of the distributions; -inf is a weight of 0.
+        position_sigma: metres.
+        angle_sigma: radians.
+
+    Returns:
+        (M,); -inf where all weights are 0.
+    """
+
 class PlaneScene:
     """A light field whose surface is a plane, rendered as an unstructured lumigraph.
 
