@@ -7,6 +7,7 @@
 
 #include "alignment_binding.hpp"
 #include "brightness_binding.hpp"
+#include "depth_binding.hpp"
 #include "instruction_set.hpp"
 #include "mixture_density_binding.hpp"
 #include "plane_renderer_binding.hpp"
@@ -38,6 +39,7 @@ NB_MODULE(native, module) {
         "Name of the processor's level, of those that the core is compiled for.");
     lfnav::bind_alignment(module);
     lfnav::bind_brightness(module);
+    lfnav::bind_depth(module);
     lfnav::bind_mixture_density(module);
     lfnav::bind_plane_renderer(module);
 }
