@@ -41,7 +41,7 @@ help:
 	@echo "make demo-dock    docks a robot in the lobby whose camera images are path-traced -> $(DEMO_DOCK)/report/report.html"
 	@echo "make experiments  many seeds and settings -> out/experiments/*/table.md; makes only what is missing"
 	@echo "make test         the test suite; 'make test-slow' runs the slow tests"
-	@echo "make lint         ruff, mypy and clang-format"
+	@echo "make lint         ruff, mypy, clang-format and clang-tidy"
 	@echo "make bench        measures particles, frames, views, starting, memory, the graphics card"
 	@echo "make clean        removes out/ and caches; $(VENV) stays"
 
@@ -128,6 +128,7 @@ lint: $(STAMP)
 	$(VENV_PYTHON) -m ruff format --check .
 	$(VENV_PYTHON) -m mypy --strict
 	$(BIN)/clang-format --dry-run --Werror native/*.cpp native/*.hpp
+	.ci/clang-tidy $(VENV)
 
 format: $(STAMP)
 	$(VENV_PYTHON) -m ruff check --fix .
