@@ -32,7 +32,7 @@ SEED := 0
 # On a larger machine: make test TEST_WORKERS='-n 4 --dist loadfile'.
 TEST_WORKERS :=
 
-.PHONY: help install demo demo-sfm demo-dock test test-slow test-lowest test-sanitized lint format bench clean
+.PHONY: help install demo demo-sfm demo-dock test test-slow test-lowest test-sanitized lint format wheel bench clean
 
 help:
 	@echo "make install      a virtual environment in $(VENV) with lfnav in it"
@@ -42,6 +42,7 @@ help:
 	@echo "make experiments  many seeds and settings -> out/experiments/*/table.md; makes only what is missing"
 	@echo "make test         the test suite; 'make test-slow' runs the slow tests"
 	@echo "make lint         ruff, mypy, clang-format and clang-tidy"
+	@echo "make wheel        a wheel for this machine -> dist/, tried in an empty environment"
 	@echo "make bench        measures particles, frames, views, starting, memory, the graphics card"
 	@echo "make clean        removes out/ and caches; $(VENV) stays"
 
@@ -135,9 +136,13 @@ format: $(STAMP)
 	$(VENV_PYTHON) -m ruff format .
 	$(BIN)/clang-format -i native/*.cpp native/*.hpp
 
+wheel:
+	@test -n "$(PYTHON)" || { echo "lfnav needs Python 3.11 or newer; install it or say make PYTHON=/path/to/python" >&2; exit 1; }
+	.ci/wheel $(PYTHON)
+
 bench: $(STAMP)
 	$(VENV_PYTHON) -m benchmarks.run
 
 clean:
-	rm -rf out build .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find lfnav_cli pipelines tests benchmarks experiments -name __pycache__ -type d -prune -exec rm -rf {} +
