@@ -165,7 +165,7 @@ def slow_matching(
                 ahead, behind = sums[best - 1] - sums[best], sums[best + 1] - sums[best]
                 if max(ahead, behind) > 0.0:
                     index[y, x] += 0.5 * (ahead - behind) / max(ahead, behind)
-    chosen = np.int64(index + 0.5)[..., None]
+    chosen = (index + 0.5).astype(np.int64)[..., None]
     return index, costs.mean(axis=2) - np.take_along_axis(costs, chosen, axis=2)[..., 0]
 
 
