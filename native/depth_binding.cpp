@@ -19,6 +19,8 @@ namespace {
 constexpr std::ptrdiff_t ANY = ArrayArgument<double>::ANY;
 // Pixels have to be told apart by 32 bits.
 constexpr std::size_t LONGEST_SIDE = 1 << 15;
+// Their numbers have to be exact in single precision, fractions included.
+constexpr std::size_t MOST_PLANES = 1 << 16;
 // Penalties are far below what bounds the planes.
 constexpr double LARGEST_PENALTY = 1e6;
 
@@ -98,8 +100,8 @@ nb::tuple python_semi_global_matching(nb::handle volume, nb::handle reference, n
     const std::size_t height = own.shape(0), width = own.shape(1);
     const ArrayArgument<std::uint8_t> costs(volume, "volume",
                                             {signed_size(height), signed_size(width), ANY});
-    if (costs.shape(2) < 1) {
-        refuse_value("volume", "at least one plane expected");
+    if (costs.shape(2) < 1 || costs.shape(2) > MOST_PLANES) {
+        refuse_value("volume", "from 1 to 65536 planes expected");
     }
     const DepthPenalties penalties{
         penalty(step, "step_penalty"), penalty(jump, "jump_penalty"),

@@ -431,6 +431,17 @@ def test_images_without_pixels_give_such(name: str) -> None:
             assert part.shape[:2] == size
 
 
+def test_many_planes_are_counted_exactly_and_more_refused() -> None:
+    volume = np.full((1, 1, 65536), 9, np.uint8)
+    volume[0, 0, -1] = 0
+    index, distinct = native.semi_global_matching(volume, IMAGE[:1, :1], *PENALTIES)
+    assert index[0, 0] == 65535.0
+    assert distinct[0, 0] == pytest.approx(9.0, abs=1e-3)
+    more = np.zeros((1, 1, 65537), np.uint8)
+    with pytest.raises(ValueError, match="volume: from 1 to 65536 planes"):
+        native.semi_global_matching(more, IMAGE[:1, :1], *PENALTIES)
+
+
 def test_no_planes_and_no_photos() -> None:
     image = np.zeros((3, 4), np.uint8)
     nothing = np.zeros((0, 3, 4))
@@ -468,7 +479,7 @@ NO_WIDTH = np.zeros((4, 0), np.uint8)
         ("plane_sweep", 5, np.nan, "saturation: a finite number"),
         ("semi_global_matching", 0, IMAGE, "volume: shape"),
         ("semi_global_matching", 0, np.zeros((30, 52, 4), np.uint8), "volume: shape"),
-        ("semi_global_matching", 0, np.zeros((30, 53, 0), np.uint8), "volume: at least one plane"),
+        ("semi_global_matching", 0, np.zeros((30, 53, 0), np.uint8), "volume: from 1 to 65536"),
         ("semi_global_matching", 2, -1.0, "step_penalty: at least 0"),
         ("semi_global_matching", 3, 1e9, "jump_penalty: at most a million"),
         ("semi_global_matching", 4, 0.0, "edge_contrast: at least 1e-06"),
