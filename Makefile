@@ -32,7 +32,7 @@ SEED := 0
 # On a larger machine: make test TEST_WORKERS='-n 4 --dist loadfile'.
 TEST_WORKERS :=
 
-.PHONY: help install demo demo-sfm demo-dock test test-slow test-lowest test-sanitized lint format bench bench-against clean
+.PHONY: help install demo demo-sfm demo-dock test test-slow test-lowest test-sanitized lint format wheel bench bench-against clean
 
 help:
 	@echo "make install      a virtual environment in $(VENV) with lfnav in it"
@@ -41,7 +41,8 @@ help:
 	@echo "make demo-dock    docks a robot in the lobby whose camera images are path-traced -> $(DEMO_DOCK)/report/report.html"
 	@echo "make experiments  many seeds and settings -> out/experiments/*/table.md; makes only what is missing"
 	@echo "make test         the test suite; 'make test-slow' runs the slow tests"
-	@echo "make lint         ruff, mypy and clang-format"
+	@echo "make lint         ruff, mypy, clang-format and clang-tidy"
+	@echo "make wheel        a wheel for this machine -> dist/, tried in an empty environment"
 	@echo "make bench        measures particles, frames, views, starting, memory, the graphics card"
 	@echo "make bench-against REVISION=...  particles, views, alignments, depth maps beside an older revision"
 	@echo "make clean        removes out/ and caches; $(VENV) stays"
@@ -129,11 +130,16 @@ lint: $(STAMP)
 	$(VENV_PYTHON) -m ruff format --check .
 	$(VENV_PYTHON) -m mypy --strict
 	$(BIN)/clang-format --dry-run --Werror native/*.cpp native/*.hpp
+	.ci/clang-tidy $(VENV)
 
 format: $(STAMP)
 	$(VENV_PYTHON) -m ruff check --fix .
 	$(VENV_PYTHON) -m ruff format .
 	$(BIN)/clang-format -i native/*.cpp native/*.hpp
+
+wheel:
+	@test -n "$(PYTHON)" || { echo "lfnav needs Python 3.11 or newer; install it or say make PYTHON=/path/to/python" >&2; exit 1; }
+	.ci/wheel $(PYTHON)
 
 bench: $(STAMP)
 	$(VENV_PYTHON) -m benchmarks.run
@@ -143,5 +149,5 @@ bench-against: $(STAMP)
 	$(VENV_PYTHON) -m benchmarks.against $(REVISION)
 
 clean:
-	rm -rf out build .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find lfnav_cli pipelines tests benchmarks experiments -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -21,8 +21,6 @@ from pipelines.lightfield.bundle import load_scene, save_scene
 from pipelines.lightfield.scene import Scene
 
 WARM_TURNS = 3
-# Photos this small are enough to compile for.
-SMALL_SIDE = 64
 PLANE, DEEP, ONE_IMAGE, RUN = "plane.h5", "deep.h5", "one-image", "run.h5"
 
 
@@ -71,18 +69,9 @@ def all_kernels(folder: Path) -> None:
     drive(load_scene(folder / PLANE), dataset, SETTINGS["tracking_refined"], seed=0, most=3)
 
 
-def depth_kernels(_folder: Path) -> None:
-    """Uses every compiled function of the making of depth maps once."""
-    from benchmarks.depth import depth_of_some_views
-    from pipelines.lightfield.depth import DepthSettings
-
-    depth_of_some_views(3, DepthSettings(largest_side=SMALL_SIDE, supporters=1))()
-
-
 WORK: dict[str, Callable[[Path], None]] = {
     "first frame": first_frame,
     "rendering, comparison, alignment, filter": all_kernels,
-    "making depth maps": depth_kernels,
 }
 
 

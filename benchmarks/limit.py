@@ -1,24 +1,38 @@
 """The limit: what the work costs if nothing is done but what cannot be left out.
 
 For each virtual pixel three photos are read between four texels each, weighted, and added up, by
-the very instructions that the fused path uses. Everything else is given beforehand: where in the
-photos, and with which weights. Nothing is chosen, mapped, checked or compared with a camera image.
-Of three layouts (pixel by pixel, chunk by chunk, photo by photo) the fastest was taken: a pixel's
-three reads follow each other, and its sum stays in a register.
+the very instructions that the core uses (``limit.cpp``, compiled here for this processor).
+Everything else is given beforehand: where in the photos, and with which weights. Nothing is chosen,
+mapped, checked or compared with a camera image. Of three layouts (pixel by pixel, chunk by chunk,
+photo by photo) the fastest was taken: a pixel's three reads follow each other, and its sum stays in
+a register.
 """
 
+import ctypes
+import functools
+import os
+import subprocess
+import tempfile
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from benchmarks.work import Work, homographies, net_weights
 from pipelines.artifacts.array_types import Float32Array, ImageArray, Int32Array
-from pipelines.lightfield.compiled import EXACT
-from pipelines.lightfield.texel_intrinsic import CHANNELS, add_texels
 
-SAMPLES_PER_PIXEL = 3
+SAMPLES_PER_PIXEL, CHANNELS = 3, 4
+SOURCE = Path(__file__).with_suffix(".cpp")
+# As CMakeLists.txt has it, but for one processor.
+FLAGS = (
+    "-std=c++20",
+    "-O3",
+    "-ffp-contract=fast",
+    "-fno-math-errno",
+    "-fopenmp-simd",
+    "-Wno-psabi",
+)
 
 
 @dataclass(frozen=True)
@@ -73,7 +87,7 @@ def limit_work(work: Work) -> LimitWork:
 def limit_image(work: LimitWork, times: int) -> Float32Array:
     """The view ``(P, 4)``: colours, and 255; computed so many times."""
     image = np.empty((len(work.upper) // SAMPLES_PER_PIXEL, CHANNELS), dtype=np.float32)
-    _add_all(
+    arrays = (
         work.texels,
         work.upper,
         work.lower,
@@ -81,38 +95,22 @@ def limit_image(work: LimitWork, times: int) -> Float32Array:
         work.upper_weight,
         work.lower_weight,
         image,
-        times,
     )
+    pointers = [ctypes.c_void_p(array.ctypes.data) for array in arrays]
+    _library().add_samples(*pointers, ctypes.c_size_t(len(image)), ctypes.c_size_t(times))
     return image
 
 
-def _add_samples(
-    texels: ImageArray,
-    upper: Int32Array,
-    lower: Int32Array,
-    fraction: Float32Array,
-    upper_weight: Float32Array,
-    lower_weight: Float32Array,
-    image: Float32Array,
-    times: int,
-) -> None:
-    for _ in range(times):
-        image[:] = 0.0
-        for pixel in range(len(image)):
-            for view in range(SAMPLES_PER_PIXEL):
-                # Unsigned, so that the compiler need not count from the end, too.
-                i = np.uintp(SAMPLES_PER_PIXEL * pixel + view)
-                add_texels(
-                    texels,
-                    upper[i],
-                    lower[i],
-                    fraction[i],
-                    upper_weight[i],
-                    lower_weight[i],
-                    image,
-                    pixel,
-                )
-
-
-_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": EXACT, "_nrt": False}
-_add_all: Any = njit(**_OPTIONS)(_add_samples)
+@functools.cache
+def _library() -> ctypes.CDLL:
+    """The loop, compiled; calls of it release the interpreter lock."""
+    headers = SOURCE.parents[1] / "native"
+    # Clang for Arm calls it otherwise; what either does not know is an error.
+    processor = "-mcpu=native" if os.uname().machine in {"arm64", "aarch64"} else "-march=native"
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / "limit.so"
+        compiler = os.environ.get("CXX", "c++")
+        command = [compiler, *FLAGS, processor, f"-I{headers}", "-shared", "-fPIC", str(SOURCE)]
+        subprocess.run([*command, "-o", str(target)], check=True)
+        # What is loaded stays when its file goes.
+        return ctypes.CDLL(str(target))

@@ -44,6 +44,12 @@ def run_command(command: click.Command, arguments: Sequence[str] | None = None) 
     except LfnavError as error:
         print_error(str(error))
         return EXIT_ERROR
+    except ImportError as error:
+        # The C++ core ends its import where the environment asks for what there is not.
+        if not isinstance(error.__cause__, LfnavError):
+            return _defect(error, arguments)
+        print_error(str(error.__cause__))
+        return EXIT_ERROR
     except MemoryError:
         print_error("out of memory")
         return EXIT_ERROR
@@ -51,12 +57,16 @@ def run_command(command: click.Command, arguments: Sequence[str] | None = None) 
         print_error(str(error))
         return EXIT_ERROR
     except Exception as error:  # noqa: BLE001
-        # A defect of lfnav. The place where it happened helps only whoever asks for it.
-        if {"-v", "--verbose"} & set(sys.argv[1:] if arguments is None else arguments):
-            traceback.print_exc()
-        kind = type(error).__name__
-        print_error(f"internal error, please report it: {kind}: {error}  (-v shows where)")
-        return EXIT_ERROR
+        return _defect(error, arguments)
+
+
+def _defect(error: Exception, arguments: Sequence[str] | None) -> int:
+    """Reports a defect of lfnav; where it happened helps only whoever asks for it."""
+    if {"-v", "--verbose"} & set(sys.argv[1:] if arguments is None else arguments):
+        traceback.print_exception(error)
+    kind = type(error).__name__
+    print_error(f"internal error, please report it: {kind}: {error}  (-v shows where)")
+    return EXIT_ERROR
 
 
 def print_error(text: str) -> None:

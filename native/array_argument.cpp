@@ -179,6 +179,7 @@ NewArray<Element>::NewArray(std::initializer_list<std::size_t> shape) {
 }
 
 template struct NewArray<float>;
+template struct NewArray<std::uint8_t>;
 template struct NewArray<double>;
 
 }  // namespace lfnav

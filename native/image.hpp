@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 
 namespace lfnav {
 
@@ -21,6 +22,14 @@ struct ScalarImage {
     std::size_t height, width;
 
     const float* row(std::size_t y) const { return data + width * y; }
+};
+
+/// Grey levels (H, W), row by row.
+struct GreyImage {
+    const std::uint8_t* data;
+    std::size_t height, width;
+
+    const std::uint8_t* row(std::size_t y) const { return data + width * y; }
 };
 
 }  // namespace lfnav

@@ -3,19 +3,43 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/string_view.h>
 
+#include <stdexcept>
+
 #include "alignment_binding.hpp"
 #include "brightness_binding.hpp"
+#include "depth_binding.hpp"
 #include "instruction_set.hpp"
+#include "mixture_density_binding.hpp"
 #include "plane_renderer_binding.hpp"
+
+namespace {
+
+namespace nb = nanobind;
+
+/// Looks at the processor's level now, so that a wrong choice ends the import and not a kernel: as
+/// an error of lfnav's, which Python hands over as the cause of an ImportError.
+void check_instruction_set() {
+    try {
+        lfnav::instruction_set();
+    } catch (const std::invalid_argument& error) {
+        const nb::object type =
+            nb::module_::import_("pipelines.artifacts.errors").attr("OptionError");
+        PyErr_SetString(type.ptr(), error.what());
+        throw nb::python_error();
+    }
+}
+
+}  // namespace
 
 NB_MODULE(native, module) {
     module.doc() = "The C++ core: what is done for every pixel of every particle.";
-    // Now, so that a wrong choice ends the import and not a kernel.
-    lfnav::instruction_set();
+    check_instruction_set();
     module.def(
         "instruction_set", [] { return lfnav::name_of(lfnav::instruction_set()); },
         "Name of the processor's level, of those that the core is compiled for.");
     lfnav::bind_alignment(module);
     lfnav::bind_brightness(module);
+    lfnav::bind_depth(module);
+    lfnav::bind_mixture_density(module);
     lfnav::bind_plane_renderer(module);
 }

@@ -152,8 +152,9 @@ LFNAV_INLINE void set_inverse_depth(const double* own, const ChannelSums& sums, 
 LFNAV_INLINE void set_motion(const Motion& motion, const double* inverse_depth, const double* ray,
                              double ray_y, const Pinhole& pinhole, std::size_t count,
                              const ChannelSums& sums, PixelMotion& moves) {
-    const auto [wx, wy, wz] = motion.rotation;
-    const auto [tx, ty, tz] = motion.translation;
+    // No structured bindings: clang takes none into a loop of OpenMP.
+    const double wx = motion.rotation[0], wy = motion.rotation[1], wz = motion.rotation[2];
+    const double tx = motion.translation[0], ty = motion.translation[1], tz = motion.translation[2];
     const double fx = pinhole.fx, fy = pinhole.fy;
 #pragma omp simd
     for (std::size_t x = 0; x < count; ++x) {

@@ -60,7 +60,7 @@ struct MeanLoss {
 
     LFNAV_INLINE double operator()() const {
         using Some = Pixels;
-        using Vector = typename Some::Vector;
+        using Vector = Some::Vector;
         constexpr std::size_t FLOATS = Some::FLOATS;
         double sum = 0.0, count = 0.0;
         for (std::size_t y = 0; y < view.height; ++y) {

@@ -8,6 +8,8 @@ Images to be compared are ``(H, W, 4)``, float32: three channels in grey levels,
 is something to compare, 0 where not.
 """
 
+from collections.abc import Sequence
+
 from pipelines.artifacts.array_types import (
     BoolArray,
     Float32Array,
@@ -100,6 +102,114 @@ def normal_equations(
     Returns:
         The Hessian (D + 2, D + 2), whose last two unknowns are gain and offset, and the gradient of
         each tile (tiles, D + 2).
+    """
+
+def plane_sweep(
+    reference: ImageArray,
+    photos: Sequence[ImageArray],
+    maps: FloatArray,
+    inverse_depths: FloatArray,
+    best: int,
+    saturation: float,
+) -> ImageArray:
+    """How much photos disagree that a pixel shows a surface at each of many depths.
+
+    Windows of 3 x 3 pixels, less the grey of their centres, are compared.
+
+    Args:
+        reference: (H, W) grey.
+        photos: V of (h, w), grey, of any sizes.
+        maps: (V, 3, 4): the reference's pixel (x, y) at inverse depth q lies at the photo's
+            homogeneous pixel M (x, y, 1, q).
+        inverse_depths: (D,) of the planes, 1 / metres.
+        best: a pixel's cost is the mean of so many of its lowest ones.
+        saturation: grey levels; larger differences all cost the same.
+
+    Returns:
+        (H, W, D) costs, 0 (alike) to 240. A plane on which no photo shows the pixel has the mean of
+        the others.
+    """
+
+def semi_global_matching(
+    volume: ImageArray,
+    reference: ImageArray,
+    step_penalty: float,
+    jump_penalty: float,
+    edge_contrast: float,
+    least_jump: float,
+) -> tuple[Float32Array, Float32Array]:
+    """The plane of each pixel, smooth except across edges of the image: eight paths, winner.
+
+    Args:
+        volume: (H, W, D) costs of D planes.
+        reference: (H, W) grey.
+        step_penalty: what it costs that neighbouring pixels lie one plane apart, and
+        jump_penalty: what further apart costs; both at most a million.
+        edge_contrast: grey levels between neighbours at which a jump costs half.
+        least_jump: a jump costs at least this.
+
+    Returns:
+        (H, W) numbers of the planes, with a fraction; and (H, W) how much less than the average
+        plane the nearest one costs.
+    """
+
+def fuse_depth(
+    inverse_depth: Float32Array,
+    others: Sequence[Float32Array],
+    confident: Sequence[BoolArray],
+    to_view: FloatArray,
+    from_view: FloatArray,
+    unsure_trust: float,
+    agreement: float,
+) -> tuple[Float32Array, Float32Array]:
+    """The depth at each pixel that most neighbours see and fewest see through.
+
+    Args:
+        inverse_depth: (H, W) of the view; 0, as in all maps, is none.
+        others: V of (h, w): inverse depths that neighbours found.
+        confident: V of (h, w): where they are sure.
+        to_view: (V, 3, 4): a neighbour's pixel (x, y) at inverse depth q lies at the view's
+            homogeneous pixel M (x, y, 1, q), and
+        from_view: (V, 3, 4) the other way.
+        unsure_trust: what a neighbour's depth counts where it is not sure; else 1.
+        agreement: share of the inverse depth within which depths are of the same surface.
+
+    Returns:
+        (H, W) means of all depths that agree with the best; and (H, W) neighbours that see the best
+        less those that see through it.
+    """
+
+def complete_depth(inverse_depth: Float32Array, known: BoolArray) -> Float32Array:
+    """Depth where none is known: planes through the surfaces around, in eight directions.
+
+    Args:
+        inverse_depth: (H, W).
+        known: (H, W) where it can be relied on, and stays.
+
+    Returns:
+        (H, W): the weighted median of what the eight say; as it was where there are none.
+    """
+
+def log_mixture_density(
+    positions: FloatArray,
+    centres: FloatArray,
+    angles: FloatArray,
+    log_weights: FloatArray,
+    position_sigma: float,
+    angle_sigma: float,
+) -> FloatArray:
+    """Logarithm of a sum of isotropic normal distributions, but for their common factor.
+
+    Args:
+        positions: (M, P) where, metres.
+        centres: (N, P) of the distributions.
+        angles: (M, N) between the orientations of both, radians.
+        log_weights: (N,) of the distributions; -inf is a weight of 0.
+        position_sigma: metres.
+        angle_sigma: radians.
+
+    Returns:
+        (M,); -inf where all weights are 0.
     """
 
 class PlaneScene:

@@ -2,6 +2,7 @@
 
 import ast
 import inspect
+import os
 import platform
 import re
 import subprocess
@@ -66,3 +67,27 @@ def test_a_process_of_its_own_finds_the_core_from_anywhere(tmp_path: Path) -> No
         check=True,
     )
     assert Path(done.stdout.strip()) == Path(inspect.getfile(native))
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["-m", "lfnav_cli.main", "localize", "scene.h5", "drive"],
+        ["-m", "lfnav_cli.main", "render", "scene.h5", "-o", "views", "--pose", "0,0,0"],
+        ["-c", "import pipelines.native"],
+    ],
+    ids=["localize", "render", "import"],
+)
+def test_an_unknown_instruction_set_is_one_line(arguments: list[str]) -> None:
+    done = subprocess.run(
+        [sys.executable, *arguments],
+        env=os.environ | {"LFNAV_INSTRUCTION_SET": "avx"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 1
+    expected = "LFNAV_INSTRUCTION_SET is 'avx'; choose baseline, x86-64-v3 or x86-64-v4"
+    if "-m" in arguments:
+        assert done.stderr == f"lfnav: {expected}\n"
+    else:
+        assert f"pipelines.artifacts.errors.OptionError: {expected}" in done.stderr

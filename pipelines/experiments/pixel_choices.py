@@ -14,8 +14,12 @@ import numpy as np
 from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray
 from pipelines.artifacts.errors import InputError
 from pipelines.dataset.dataset import CAMERA_FILE, GROUNDTRUTH_FILE, Dataset
-from pipelines.lightfield.comparison import NO_TABLE, compare, prepared
-from pipelines.lightfield.compiled import compiled
+from pipelines.lightfield.comparison import (
+    LARGEST_GAIN,
+    ROBUST_LIMIT,
+    UNCOVERED_ROBUST,
+    prepared,
+)
 from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.likelihood import LIKELIHOODS
@@ -28,9 +32,6 @@ WIDTH = 40
 SPREAD = np.array([0.06, 0.06, 0.03])
 STATES, TURNS = 60, 5
 LARGEST_TIME_GAP = 0.1
-
-# It is a step of the renderer; called from here it would not be compiled.
-_cost = compiled(compare)
 
 # From grey levels (H, W), the turn, and random numbers to the weights (H, W) of the pixels.
 Choice = Callable[[FloatArray, int, np.random.Generator], FloatArray]
@@ -133,11 +134,11 @@ def errors_of_choices(
         )
         query = prepared(observation.image)
         grey = query[..., :3].mean(axis=2, dtype=np.float64)
-        whole = likelihood.sharpness * _costs(images, covered, query, np.ones(grey.shape))
+        whole = likelihood.sharpness * costs_by_some(images, covered, query, np.ones(grey.shape))
         spreads.append(float(np.var(whole)))
         for name, choose in CHOICES.items():
             for turn in range(TURNS):
-                part = _costs(images, covered, query, choose(grey, turn, rng))
+                part = costs_by_some(images, covered, query, choose(grey, turn, rng))
                 squares[name].append(float(np.var(likelihood.sharpness * part - whole)))
     if not spreads:
         raise InputError(dataset.root / GROUNDTRUTH_FILE, "has no pose at any image")
@@ -145,14 +146,31 @@ def errors_of_choices(
     return errors, float(np.sqrt(np.mean(spreads)))
 
 
-def _costs(
+def costs_by_some(
     images: Float32Array, covered: BoolArray, query: Float32Array, weights: FloatArray
 ) -> FloatArray:
-    """The default costs ``(M,)`` of views with these weights of their pixels."""
-    likelihood = LIKELIHOODS["robust"]
-    weighted = query.copy()
-    weighted[..., 3] *= weights
-    views = np.concatenate([images, covered[..., None].astype(np.float32)], axis=3)
-    kind, fit_gain = int(likelihood.cost), likelihood.fit_gain
-    costs = [_cost(kind, view, weighted, fit_gain, NO_TABLE) for view in views]
-    return np.array(costs)
+    """The default cost of views, the filter's ``robust``, with these weights of their pixels.
+
+    Args:
+        images: ``(M, H, W, 3)`` views.
+        covered: ``(M, H, W)``.
+        query: ``(H, W, 4)`` camera image, see ``comparison.prepared``.
+        weights: ``(H, W)``.
+
+    Returns:
+        ``(M,)``.
+    """
+    chosen = (weights > 0.0) & (query[..., 3] > 0.0)
+    wanted, compared = query[chosen, :3], weights[chosen]
+    views = images[:, chosen]  # [M, P, 3]
+    used = covered[:, chosen] * compared
+    # The brightness is fitted to the colours that are nearly equal already.
+    near = np.where(np.abs(views - wanted) < ROBUST_LIMIT, views, np.float32(0.0))
+    squares = np.einsum("mp,mpc,mpc->m", used, near, views)
+    products = np.einsum("mp,mpc,pc->m", used, near, wanted)
+    gains = np.divide(products, squares, out=np.ones(len(views)), where=squares > 0.0)
+    gains = np.clip(gains, 1.0 / LARGEST_GAIN, LARGEST_GAIN).astype(np.float32)
+    differences = np.abs(gains[:, None, None] * views - wanted)
+    each = np.minimum(differences, ROBUST_LIMIT).mean(axis=2) / ROBUST_LIMIT
+    total = np.sum(used * each + (compared - used) * UNCOVERED_ROBUST, axis=1)
+    return np.asarray(total / max(1.0, float(compared.sum())))

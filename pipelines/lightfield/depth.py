@@ -1,10 +1,12 @@
 """Depth maps from the photos: which surface each pixel of a view shows.
 
 A plane sweep (Collins 1996): the neighbouring photos are warped as if the scene were a plane at one
-of many inverse depths, and compared with the view in small windows, less the grey of their centres,
-so that exposure does not matter. At each pixel the best of the neighbours count, since the others
-may not see the point. Semi-global matching (Hirschmueller 2008) then finds depths that are smooth
-except across edges of the image. When all views are done, ``depth_fusion`` makes them agree.
+of many inverse depths, and compared with the view in windows of 3 x 3 pixels, less the grey of
+their centres, so that exposure does not matter. Larger windows were worse on every scene tried:
+aggregation along paths brings in the surroundings without blurring the edges. At each pixel the
+best of the neighbours count, since the others may not see the point. Semi-global matching
+(Hirschmueller 2008) then finds depths that are smooth except across edges of the image. When all
+views are done, ``depth_fusion`` makes them agree.
 """
 
 from collections.abc import Sequence
@@ -23,22 +25,10 @@ from pipelines.artifacts.array_types import (
 from pipelines.artifacts.errors import OptionError, StageError
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.pose import inverse
-from pipelines.lightfield import depth_kernels
-from pipelines.lightfield.depth_kernels import RADIUS
 from pipelines.lightfield.depth_neighbours import checked_range
 from pipelines.lightfield.views import shrink
+from pipelines.native import plane_sweep, semi_global_matching
 
-# Rows and columns of the pixels in a 3 x 3 window that are compared with its centre. Larger windows
-# were worse on every scene tried: aggregation along paths brings in the surroundings without
-# blurring the edges.
-WINDOW = np.array(
-    [
-        (RADIUS + row, RADIUS + column)
-        for row in range(-1, 2)
-        for column in range(-1, 2)
-        if (row, column) != (0, 0)
-    ]
-)
 MEDIAN_SIZE = 5
 # Pixels over which evidence is averaged before it is asked whether there is any.
 EVIDENCE_SIZE = 7
@@ -132,26 +122,22 @@ def estimate_depth(
     near, far = checked_range(*limits)
     if len(images) < 2 or len(neighbours) == 0:
         raise StageError(f"view {view} has no neighbouring photo to find depth with")
-    grey, pinhole = _grey(images[view], intrinsics[view], settings)
-    reference = grey.astype(np.float32)
-    height, width = reference.shape
+    reference, pinhole = _grey(images[view], intrinsics[view], settings)
+    photos, maps = [], []
+    for other in neighbours:
+        photo, own = _grey(images[other], intrinsics[other], settings)
+        photos.append(photo)
+        maps.append(pixel_map(pinhole, world_from_camera[view], own, world_from_camera[other]))
     levels = np.linspace(1.0 / far, 1.0 / near, settings.planes)
-    volume = np.empty((settings.planes, height, width), np.uint8)
-    _sweep(
+    index, distinct = semi_global_matching(
+        plane_sweep(reference, photos, np.stack(maps), levels, settings.best, settings.saturation),
         reference,
-        [_grey(images[index], intrinsics[index], settings) for index in neighbours],
-        [
-            _mapping(pinhole, world_from_camera[view], world_from_camera[index])
-            for index in neighbours
-        ],
-        levels,
-        volume,
-        settings,
+        settings.step_penalty,
+        settings.jump_penalty,
+        settings.edge_contrast,
+        # A jump is never cheaper than two steps.
+        2.0 * settings.step_penalty,
     )
-    index = _aggregate(volume, reference, settings)
-    distinct = np.empty_like(reference)
-    total = np.empty(reference.shape[1], np.float32)
-    depth_kernels.distinctness(volume, index, total, distinct)
     confident = cv2.blur(distinct, (EVIDENCE_SIZE, EVIDENCE_SIZE)) >= settings.distinctness
     inverse_depth = np.interp(index, np.arange(settings.planes), levels).astype(np.float32)
     smooth = np.asarray(cv2.medianBlur(inverse_depth, MEDIAN_SIZE), dtype=np.float32)
@@ -166,58 +152,17 @@ def _grey(
     return np.asarray(cv2.cvtColor(small, cv2.COLOR_RGB2GRAY), dtype=np.uint8), pinhole
 
 
-def _mapping(
-    pinhole: Intrinsics, world_from_reference: FloatArray, world_from_other: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """A and b: pixel p with inverse depth q lies at A p + q b in the other camera's coordinates."""
-    other_from_reference = inverse(world_from_other) @ world_from_reference
-    rays = other_from_reference[:3, :3] @ np.linalg.inv(pinhole.matrix())
-    return rays, other_from_reference[:3, 3]
+def pixel_map(
+    pinhole: Intrinsics,
+    world_from_camera: FloatArray,
+    other: Intrinsics,
+    world_from_other: FloatArray,
+) -> FloatArray:
+    """From one camera's pixels to another's, by inverse depth.
 
-
-def _sweep(
-    reference: Float32Array,
-    others: Sequence[tuple[ImageArray, Intrinsics]],
-    mappings: Sequence[tuple[FloatArray, FloatArray]],
-    levels: FloatArray,
-    volume: ImageArray,
-    settings: DepthSettings,
-) -> None:
-    """Fills the volume ``(D, H, W)`` with the costs of each pixel on each plane."""
-    padded = np.pad(reference, RADIUS, mode="edge")
-    warped, seen = np.zeros_like(padded), np.empty_like(reference)
-    best = np.empty((min(settings.best, len(others)), *reference.shape), np.float32)
-    columns = reference.shape[1]
-    numbers, places = np.empty((2, columns), np.float32), np.empty((2, columns), np.uint32)
-    views = []
-    for (grey, pinhole), (rays, shift) in zip(others, mappings, strict=True):
-        texels = np.empty((grey.shape[0] - 1, grey.shape[1] - 1), np.uint32)
-        depth_kernels.pack(grey, texels)
-        views.append((texels, pinhole.matrix() @ rays, pinhole.matrix() @ shift))
-    for plane, level in enumerate(levels):
-        best[:] = depth_kernels.UNSEEN_COST
-        for texels, rays, shift in views:
-            depth_kernels.warp(texels, rays, shift, float(level), warped, seen, numbers, places)
-            depth_kernels.add_view_cost(
-                padded, warped, seen, WINDOW, settings.saturation, best, numbers[0]
-            )
-        depth_kernels.write_layer(best, volume[plane], numbers)
-    depth_kernels.fill_unseen(volume, np.empty((2, columns), np.int32))
-
-
-def _aggregate(
-    volume: ImageArray, reference: Float32Array, settings: DepthSettings
-) -> Float32Array:
-    """``(H, W)`` fractional number of the best plane."""
-    index = np.empty_like(reference)
-    penalties = np.array(
-        [
-            settings.step_penalty,
-            settings.jump_penalty,
-            settings.edge_contrast,
-            settings.step_penalty,
-        ]
-    )
-    room = depth_kernels.aggregation_room_for(*volume.shape)
-    depth_kernels.aggregate(volume, reference, penalties, index, room)
-    return index
+    Returns:
+        ``(3, 4)``: pixel (x, y) at inverse depth q lies at the homogeneous pixel M (x, y, 1, q).
+    """
+    other_from_camera = inverse(world_from_other) @ world_from_camera
+    rays = other_from_camera[:3, :3] @ np.linalg.inv(pinhole.matrix())
+    return np.asarray(other.matrix() @ np.column_stack([rays, other_from_camera[:3, 3]]))

@@ -9,7 +9,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from pipelines.lightfield import depth_completion_kernels
+from pipelines import native
 from pipelines.lightfield.depth import DepthMap
 
 # Specks of confidence smaller than half of this window, in pixels, are no surface to start from.
@@ -28,15 +28,7 @@ def complete_depth(depth_map: DepthMap) -> DepthMap:
     known = np.asarray((cv2.medianBlur(confident, SPECK_SIZE) > 0) & depth_map.confident)
     if not np.any(known):
         return replace(depth_map, confident=known)
-    carried = np.empty_like(depth_map.inverse_depth)
-    depth_completion_kernels.carry_on(
-        depth_map.inverse_depth,
-        known,
-        ~known,
-        depth_completion_kernels.DIRECTIONS,
-        carried,
-        np.empty((3, len(depth_completion_kernels.DIRECTIONS))),
-    )
+    carried = native.complete_depth(depth_map.inverse_depth, known)
     # Single directions leave streaks. A mean would take them away too, and blur the rim.
     smooth = np.asarray(cv2.medianBlur(carried, MEDIAN_SIZE), dtype=np.float32)
     completed = np.where(known, depth_map.inverse_depth, smooth)

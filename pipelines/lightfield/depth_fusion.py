@@ -12,12 +12,11 @@ from functools import partial
 import cv2
 import numpy as np
 
+from pipelines import native
 from pipelines.artifacts.array_types import FloatArray, IntArray
 from pipelines.artifacts.errors import OptionError
 from pipelines.artifacts.progress import Progress, no_progress
-from pipelines.geometry.pose import inverse
-from pipelines.lightfield import depth_fusion_kernels
-from pipelines.lightfield.depth import DepthMap, DepthSettings
+from pipelines.lightfield.depth import DepthMap, DepthSettings, pixel_map
 from pipelines.lightfield.depth_completion import complete_depth
 
 # How often all views are compared: the second time they compare what the first has mended.
@@ -95,42 +94,26 @@ def fuse_depth(
         Depth everywhere; confident where enough neighbours see the same surface.
     """
     own = maps[view]
-    shape = (len(neighbours) + 1, *own.inverse_depth.shape)
-    candidates = np.zeros(shape, np.float32)
-    support, violation = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    candidates[0] = own.inverse_depth
-    for number, index in enumerate(neighbours, start=1):
-        depth_fusion_kernels.project_depth(
-            maps[index].inverse_depth,
-            *_pixel_mapping(maps, world_from_camera, int(index), view),
-            candidates[number],
-        )
-    for index in neighbours:
-        rays, shift = _pixel_mapping(maps, world_from_camera, view, int(index))
-        trust = np.where(maps[index].confident, 1.0, UNSURE_TRUST).astype(np.float32)
-        for candidate, supported, violated in zip(candidates, support, violation, strict=True):
-            depth_fusion_kernels.judge(
-                candidate,
-                rays,
-                shift,
-                maps[index].inverse_depth,
-                trust,
-                settings.agreement,
-                supported,
-                violated,
-            )
-    chosen, votes = np.empty(shape[1:], np.float32), np.empty(shape[1:], np.float32)
-    depth_fusion_kernels.choose(candidates, support, violation, settings.agreement, chosen, votes)
+    others = [maps[index] for index in neighbours]
+    poses = world_from_camera[neighbours]
+    pinhole, pose = own.intrinsics, world_from_camera[view]
+    to_view = [
+        pixel_map(other.intrinsics, place, pinhole, pose)
+        for other, place in zip(others, poses, strict=True)
+    ]
+    from_view = [
+        pixel_map(pinhole, pose, other.intrinsics, place)
+        for other, place in zip(others, poses, strict=True)
+    ]
+    fused, votes = native.fuse_depth(
+        own.inverse_depth,
+        [other.inverse_depth for other in others],
+        [other.confident for other in others],
+        np.reshape(to_view, (-1, 3, 4)),
+        np.reshape(from_view, (-1, 3, 4)),
+        UNSURE_TRUST,
+        settings.agreement,
+    )
     supporters = max(1, min(settings.supporters, len(neighbours)))
-    smooth = np.asarray(cv2.medianBlur(chosen, 3), dtype=np.float32)
+    smooth = np.asarray(cv2.medianBlur(fused, 3), dtype=np.float32)
     return DepthMap(smooth, votes >= supporters, own.intrinsics)
-
-
-def _pixel_mapping(
-    maps: Sequence[DepthMap], world_from_camera: FloatArray, source: int, target: int
-) -> tuple[FloatArray, FloatArray]:
-    """A and b: pixel p of ``source`` with inverse depth q lies at pixel A p + q b of ``target``."""
-    target_from_source = inverse(world_from_camera[target]) @ world_from_camera[source]
-    from_matrix, to_matrix = maps[source].intrinsics.matrix(), maps[target].intrinsics.matrix()
-    rays = to_matrix @ target_from_source[:3, :3] @ np.linalg.inv(from_matrix)
-    return rays, to_matrix @ target_from_source[:3, 3]

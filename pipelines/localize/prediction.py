@@ -15,9 +15,9 @@ import numpy as np
 
 from pipelines.artifacts.array_types import FloatArray
 from pipelines.localize.belief import Region
-from pipelines.localize.mixture_kernels import log_mixture_density
 from pipelines.localize.resampling import resample
 from pipelines.localize.state_space import StateSpace
+from pipelines.native import log_mixture_density
 
 # Noise below this would make the density a row of needles; metres and radians.
 SMALLEST_POSITION_SIGMA, SMALLEST_ANGLE_SIGMA = 1e-3, 1e-3
@@ -84,16 +84,13 @@ class Prediction:
         space, positions, angles = self.space, self.space.positions, self.space.angles
         position_sigma = max(self.position_sigma, SMALLEST_POSITION_SIGMA)
         angle_sigma = max(self.angle_sigma, SMALLEST_ANGLE_SIGMA)
-        densities = np.empty(len(states))
-        log_mixture_density(
+        densities = log_mixture_density(
             np.ascontiguousarray(states[:, :positions]),
             np.ascontiguousarray(self.centres[:, :positions]),
             space.pair_angles(states, self.centres),
             self.log_weights,
             position_sigma,
             angle_sigma,
-            np.empty(len(self.centres)),
-            densities,
         )
         normal = positions * math.log(position_sigma) + angles * math.log(angle_sigma)
         normal += 0.5 * space.dimension * math.log(2.0 * math.pi)

@@ -1,0 +1,41 @@
+#include "mixture_density_binding.hpp"
+
+#include "array_argument.hpp"
+#include "mixture_density.hpp"
+
+namespace nb = nanobind;
+
+namespace lfnav {
+
+void bind_mixture_density(nb::module_& module) {
+    module.def(
+        "log_mixture_density",
+        [](nb::handle positions, nb::handle centres, nb::handle angles, nb::handle log_weights,
+           nb::handle position_sigma, nb::handle angle_sigma) {
+            constexpr std::ptrdiff_t ANY = ArrayArgument<double>::ANY;
+            const ArrayArgument<double> places(positions, "positions", {ANY, ANY});
+            const auto dimensions = static_cast<std::ptrdiff_t>(places.shape(1));
+            const ArrayArgument<double> of(centres, "centres", {ANY, dimensions});
+            const auto count = static_cast<std::ptrdiff_t>(of.shape(0));
+            const ArrayArgument<double> turned(
+                angles, "angles", {static_cast<std::ptrdiff_t>(places.shape(0)), count});
+            const ArrayArgument<double> weights(log_weights, "log_weights", {count});
+            const Mixture mixture{of.shape(0),
+                                  of.shape(1),
+                                  of.data(),
+                                  weights.data(),
+                                  positive_number(position_sigma, "position_sigma"),
+                                  positive_number(angle_sigma, "angle_sigma")};
+            NewArray<double> result({places.shape(0)});
+            {
+                const nb::gil_scoped_release unlocked;
+                LFNAV_BEST(log_mixture_density)(mixture, places.shape(0), places.data(),
+                                                turned.data(), result.values.data());
+            }
+            return result.array;
+        },
+        argument("positions"), argument("centres"), argument("angles"), argument("log_weights"),
+        argument("position_sigma"), argument("angle_sigma"));
+}
+
+}  // namespace lfnav
