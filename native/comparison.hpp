@@ -10,7 +10,7 @@
 
 #include "image.hpp"
 #include "level.hpp"
-#include "plane_views.hpp"
+#include "virtual_views.hpp"
 
 namespace lfnav::LFNAV_LEVEL {
 

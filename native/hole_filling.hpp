@@ -17,6 +17,7 @@
 
 #include "homography.hpp"
 #include "light_field.hpp"
+#include "occlusion.hpp"
 
 namespace lfnav::LFNAV_LEVEL {
 
@@ -46,7 +47,7 @@ struct PixelBox {
 /// Whether a photo may show a point of a box.
 inline bool may_show(const Photos& photos, std::size_t photo, const Homography& homography,
                      const PixelBox& box) {
-    const std::int64_t* const size = photos.level_size + 2 * photos.levels * photo;
+    const std::int64_t* const size = photos.size_of(photo);
     const double right = static_cast<double>(size[0]) - 0.5;
     const double bottom = static_cast<double>(size[1]) - 0.5;
     int behind = 0, left_of = 0, right_of = 0, above = 0, below = 0;
@@ -119,7 +120,7 @@ class HoleFilling {
         }
         for (std::size_t photo = 0; photo < photos.count; ++photo) {
             if (photos.usable[photo] && may_show(photos, photo, homography(photo), all)) {
-                candidates_.push_back(photo);
+                candidates_.push_back({photo, {photos.centres + 3 * photo, camera}});
             }
         }
         std::size_t last = 0;
@@ -135,14 +136,14 @@ class HoleFilling {
                 continue;
             }
             in_row_.clear();
-            for (const std::size_t photo : candidates_) {
-                if (may_show(photos, photo, homography(photo), box)) {
-                    in_row_.push_back(photo);
+            for (const Candidate& one : candidates_) {
+                if (may_show(photos, one.photo, homography(one.photo), box)) {
+                    in_row_.push_back(one);
                 }
             }
             for (std::size_t i = first; i < last && !in_row_.empty(); ++i) {
                 if (is_hole(i)) {
-                    find(photos, camera, homography, pixels[i], i);
+                    find(photos, homography, pixels[i], i);
                 }
             }
         }
@@ -150,33 +151,48 @@ class HoleFilling {
     }
 
   private:
+    struct Candidate {
+        std::size_t photo;
+        ProjectedCentre centre;
+    };
+
+    /// One that has something nearer before the pixel's surface point is taken only where all have:
+    /// depth maps are not exact enough to leave holes.
     template <typename HomographyOf>
-    void find(const Photos& photos, const VirtualCamera& camera, HomographyOf homography,
-              const RenderedPixel& pixel, std::size_t number) {
+    void find(const Photos& photos, HomographyOf homography, const RenderedPixel& pixel,
+              std::size_t number) {
         const double x = static_cast<double>(pixel.x), y = static_cast<double>(pixel.y);
-        double shortest = std::numeric_limits<double>::infinity();
-        std::size_t nearest = photos.count;
-        for (const std::size_t photo : in_row_) {
-            const Place place =
-                homography(photo).locate(x, y, static_cast<double>(pixel.inverse_depth));
-            if (place.depth <= 0.0 || !is_inside(photos, photo, place)) {
+        const auto inverse_depth = static_cast<double>(pixel.inverse_depth);
+        // Of those that do not have, and of those that have.
+        double shortest[2] = {PixelBox::LARGEST, PixelBox::LARGEST};
+        std::size_t nearest[2] = {photos.count, photos.count};
+        for (const Candidate& one : in_row_) {
+            const Place place = homography(one.photo).locate(x, y, inverse_depth);
+            if (place.depth <= 0.0 || !is_inside(photos, one.photo, place)) {
                 continue;
             }
-            const ProjectedCentre centre(photos.centres + 3 * photo, camera);
-            const double across = centre.x - x, down = centre.y - y;
+            const double across = one.centre.x - x, down = one.centre.y - y;
             const double distance = across * across + down * down;
-            if (distance < shortest) {
-                shortest = distance;
-                nearest = photo;
+            if (distance >= std::max(shortest[0], shortest[1])) {
+                continue;
+            }
+            const DepthMap map(photos, one.photo, photos.size_of(one.photo));
+            const bool is_hidden =
+                map.hides(static_cast<float>(place.u), static_cast<float>(place.v),
+                          static_cast<float>(inverse_depth / place.depth));
+            if (distance < shortest[is_hidden]) {
+                shortest[is_hidden] = distance;
+                nearest[is_hidden] = one.photo;
             }
         }
-        if (nearest < photos.count) {
-            found_.push_back({number, nearest});
+        const std::size_t best = nearest[nearest[0] == photos.count];
+        if (best < photos.count) {
+            found_.push_back({number, best});
         }
     }
 
     std::vector<Found> found_;
-    std::vector<std::size_t> candidates_, in_row_;
+    std::vector<Candidate> candidates_, in_row_;
 };
 
 }  // namespace lfnav::LFNAV_LEVEL

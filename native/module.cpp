@@ -6,7 +6,7 @@
 #include "alignment_binding.hpp"
 #include "brightness_binding.hpp"
 #include "instruction_set.hpp"
-#include "plane_renderer_binding.hpp"
+#include "renderer_binding.hpp"
 
 NB_MODULE(native, module) {
     module.doc() = "The C++ core: what is done for every pixel of every particle.";
@@ -17,5 +17,5 @@ NB_MODULE(native, module) {
         "Name of the processor's level, of those that the core is compiled for.");
     lfnav::bind_alignment(module);
     lfnav::bind_brightness(module);
-    lfnav::bind_plane_renderer(module);
+    lfnav::bind_renderer(module);
 }

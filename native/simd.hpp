@@ -2,6 +2,10 @@
 
 #pragma once
 
+#ifdef __AVX2__
+#include <immintrin.h>
+#endif
+
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
@@ -10,6 +14,9 @@
 #include "level.hpp"
 
 namespace lfnav::LFNAV_LEVEL {
+
+/// Pixels that plain loops work on together; arrays are as much longer as that takes.
+constexpr std::size_t TOGETHER = 16;
 
 using FloatVector = float __attribute__((vector_size(BYTES)));
 using DoubleVector = double __attribute__((vector_size(BYTES)));
@@ -26,6 +33,23 @@ LFNAV_INLINE Vector loaded(const Number* from) {
 template <typename Vector, typename Number>
 LFNAV_INLINE void store(const Vector& vector, Number* to) {
     std::memcpy(to, &vector, sizeof vector);
+}
+
+/// Numbers at indices of an array. GCC 12 makes of a loop one read after the other.
+LFNAV_INLINE FloatVector gathered(const float* numbers, const IntegerVector& indices) {
+#if defined(__AVX512F__)
+    // Without a mask GCC 12 warns of its own header.
+    return FloatVector(_mm512_mask_i32gather_ps(_mm512_setzero_ps(), __mmask16(0xffff),
+                                                __m512i(indices), numbers, sizeof(float)));
+#elif defined(__AVX2__)
+    return FloatVector(_mm256_i32gather_ps(numbers, __m256i(indices), sizeof(float)));
+#else
+    FloatVector result = {};
+    for (std::size_t i = 0; i < BYTES / sizeof(float); ++i) {
+        result[i] = numbers[indices[i]];
+    }
+    return result;
+#endif
 }
 
 template <typename Vector>
@@ -48,6 +72,17 @@ LFNAV_INLINE Vector smaller(const Vector& a, const Vector& b) {
 template <typename Vector>
 LFNAV_INLINE Vector larger(const Vector& a, const Vector& b) {
     return a > b ? a : b;
+}
+
+/// Whether a comparison of vectors holds anywhere.
+template <typename Mask>
+LFNAV_INLINE bool any_of(const Mask& mask) {
+    std::uint64_t words[sizeof(Mask) / sizeof(std::uint64_t)], together = 0;
+    std::memcpy(words, &mask, sizeof mask);
+    for (const std::uint64_t word : words) {
+        together |= word;
+    }
+    return together != 0;
 }
 
 }  // namespace lfnav::LFNAV_LEVEL

@@ -1,13 +1,16 @@
-#include "plane_renderer.hpp"
+#include "renderer.hpp"
 
 #include <algorithm>
+#include <memory>
 #include <vector>
 
 #include "comparison.hpp"
+#include "depth_surface.hpp"
 #include "hole_filling.hpp"
 #include "homography.hpp"
 #include "level.hpp"
 #include "sampling.hpp"
+#include "surface.hpp"
 #include "tiles.hpp"
 
 namespace lfnav::LFNAV_LEVEL {
@@ -25,20 +28,23 @@ std::vector<Number> with_margin(std::size_t count) {
 }
 
 /// Renders one virtual view after the other; what it needs for that it makes once.
-class PlaneRenderer {
+class ViewRenderer {
   public:
-    PlaneRenderer(const PlaneScene& scene, const VirtualViews& views)
-        : scene_(scene),
+    ViewRenderer(const LightField& field, const VirtualViews& views)
+        : field_(field),
           views_(views),
-          tiling_(views.grid, scene.index, scene.most_ranked),
+          surface_(surface_of(field, views)),
+          tiling_(views.grid, field, *surface_),
           middle_{static_cast<std::int32_t>(views.width / 2),
                   static_cast<std::int32_t>(views.height / 2)},
-          homographies_(scene.photos.count),
-          is_mapped_(scene.photos.count),
-          shown_(scene.photos.count),
-          first_(scene.photos.count, END),
+          homographies_(field.photos.count),
+          is_mapped_(field.photos.count),
+          shown_(field.photos.count),
+          first_(field.photos.count, END),
           next_(SLOTS * tiling_.tiles().size()),
           pixels_(views.pixels.size()),
+          places_(pixels_.size()),
+          seen_(pixels_.size()),
           starts_(tiling_.tiles().size() + 1),
           x_(with_margin<float>(pixels_.size())),
           y_(with_margin<float>(pixels_.size())),
@@ -47,42 +53,46 @@ class PlaneRenderer {
           inverse_depth_(with_margin<float>(pixels_.size())),
           place_(with_margin<std::int32_t>(pixels_.size())) {
         order_pixels();
+        surface_->prepare(places_);
     }
 
     /// Renders a view.
     ///
     /// @param image: (P, 4) receives it, see render().
     LFNAV_INLINE void draw(std::size_t number, float* image) {
-        const VirtualCamera camera(views_.poses + 16 * number, views_.intrinsics, scene_.plane);
-        tiling_.choose(camera, scene_.index, scene_.penalties);
+        const VirtualCamera camera(views_.poses + 16 * number, views_.intrinsics);
+        surface_->look_from(camera, number);
+        tiling_.choose(camera, *surface_);
+        surface_->set_inverse_depths(places_, seen_.data());
+        for (std::size_t i = 0; i < pixels_.size(); ++i) {
+            inverse_depth_[i] = seen_[static_cast<std::size_t>(place_[i])];
+        }
         std::fill(is_mapped_.begin(), is_mapped_.end(), std::uint8_t{0});
         std::fill_n(image, 4 * pixels_.size(), 0.0F);
-        const double middle_x = middle_.x, middle_y = middle_.y;
-#pragma omp simd
-        for (std::size_t i = 0; i < pixels_.size(); ++i) {
-            inverse_depth_[i] = camera.inverse_depth(static_cast<double>(x_[i]) + middle_x,
-                                                     static_cast<double>(y_[i]) + middle_y);
+        if (field_.photos.has_depth) {
+            blend_tiles<true>(camera, image);
+        } else {
+            blend_tiles<false>(camera, image);
         }
-        blend_tiles(camera, image);
         if (normalise(image) > 0) {
             for (std::size_t i = 0; i < pixels_.size(); ++i) {
-                pixels_[i].inverse_depth = camera.inverse_depth(static_cast<double>(pixels_[i].x),
-                                                                static_cast<double>(pixels_[i].y));
+                pixels_[i].inverse_depth = seen_[i];
             }
             fill_holes(camera, image);
         }
     }
 
-    /// The plane's inverse depths at the pixels.
-    void set_inverse_depths(std::size_t number, float* inverse_depths) const {
-        const VirtualCamera camera(views_.poses + 16 * number, views_.intrinsics, scene_.plane);
-        for (std::size_t i = 0; i < pixels_.size(); ++i) {
-            inverse_depths[i] = camera.inverse_depth(static_cast<double>(pixels_[i].x),
-                                                     static_cast<double>(pixels_[i].y));
-        }
-    }
+    /// The inverse depths at the pixels of the view that was drawn last.
+    std::span<const float> inverse_depths() const { return {seen_.data(), pixels_.size()}; }
 
   private:
+    static std::unique_ptr<Surface> surface_of(const LightField& field, const VirtualViews& views) {
+        if (views.samples == nullptr) {
+            return std::make_unique<PlaneSurface>(field.plane);
+        }
+        return std::make_unique<DepthSurface>(field, views);
+    }
+
     /// Sets the pixels, and sorts them by the tiles that they are in.
     void order_pixels() {
         const Grid& grid = tiling_.grid();
@@ -106,6 +116,8 @@ class PlaneRenderer {
         for (std::size_t i = 0; i < pixels_.size(); ++i) {
             const std::size_t tile = tiles[i], place = ends[tile]++;
             const std::int64_t column = views_.pixels[i] % width, row = views_.pixels[i] / width;
+            places_.x[i] = static_cast<float>(column);
+            places_.y[i] = static_cast<float>(row);
             x_[place] = static_cast<float>(column - middle_.x);
             y_[place] = static_cast<float>(row - middle_.y);
             tile_x_[place] = static_cast<float>(column - grid.across[tile % tiling_.across()]);
@@ -116,7 +128,7 @@ class PlaneRenderer {
 
     LFNAV_INLINE const Homography& homography(const VirtualCamera& camera, std::size_t photo) {
         if (is_mapped_[photo] == 0) {
-            homographies_[photo].set(scene_.photos, photo, camera, middle_);
+            homographies_[photo].set(field_.photos, photo, camera, middle_);
             is_mapped_[photo] = 1;
         }
         return homographies_[photo];
@@ -146,6 +158,9 @@ class PlaneRenderer {
     }
 
     /// Adds to each pixel what the photos of its tile show, photo by photo.
+    ///
+    /// @tparam MAY_BE_HIDDEN: whether depth maps may hide the surface.
+    template <bool MAY_BE_HIDDEN>
     LFNAV_INLINE void blend_tiles(const VirtualCamera& camera, float* image) {
         const std::span<const Tile> tiles = tiling_.tiles();
         const std::size_t shown = chain_tiles();
@@ -163,15 +178,16 @@ class PlaneRenderer {
                     first += taken;
                     count += taken;
                     if (count == CHUNK) {
-                        blend_chunk(scene_.photos, photo, own, camera.focal(), chunk_, count,
-                                    image);
+                        blend_chunk<MAY_BE_HIDDEN>(field_.photos, photo, own, camera.focal(),
+                                                   chunk_, count, image);
                         count = 0;
                     }
                 }
                 entry = next_[place];
             }
             if (count > 0) {
-                blend_chunk(scene_.photos, photo, own, camera.focal(), chunk_, count, image);
+                blend_chunk<MAY_BE_HIDDEN>(field_.photos, photo, own, camera.focal(), chunk_, count,
+                                           image);
             }
             first_[photo] = END;
         }
@@ -199,7 +215,7 @@ class PlaneRenderer {
     ///
     /// @return how many pixels no photo shows.
     LFNAV_INLINE std::size_t normalise(float* image) const {
-        const float smallest = scene_.smallest_weight;
+        const float smallest = field_.smallest_weight;
         std::int32_t empty = 0;
 #pragma omp simd reduction(+ : empty)
         for (std::size_t i = 0; i < pixels_.size(); ++i) {
@@ -220,7 +236,7 @@ class PlaneRenderer {
         const auto own = [&](std::size_t photo) -> const Homography& {
             return homography(camera, photo);
         };
-        const auto found = filling_(scene_.photos, camera, own, pixels_, image);
+        const auto found = filling_(field_.photos, camera, own, pixels_, image);
         // Neighbours mostly have the same photo.
         for (std::size_t first = 0, last = 0; first < found.size(); first = last) {
             const std::size_t photo = found[first].photo;
@@ -233,15 +249,17 @@ class PlaneRenderer {
                 chunk_.weight[count] = 1.0F;
                 chunk_.pixel[count++] = static_cast<std::int32_t>(found[last].pixel);
             }
-            blend_chunk(scene_.photos, photo, own(photo), camera.focal(), chunk_, count, image);
+            blend_chunk<false>(field_.photos, photo, own(photo), camera.focal(), chunk_, count,
+                               image);
         }
         for (const HoleFilling::Found& one : found) {
             image[4 * one.pixel + 3] = 1.0F;
         }
     }
 
-    PlaneScene scene_;
+    LightField field_;
     VirtualViews views_;
+    std::unique_ptr<Surface> surface_;
     Tiling tiling_;
     Middle middle_;
     std::vector<Homography> homographies_;
@@ -252,6 +270,8 @@ class PlaneRenderer {
     std::vector<std::int32_t> first_, next_;
     /// In the order of the image.
     std::vector<RenderedPixel> pixels_;
+    Places places_;
+    std::vector<float> seen_;
     /// Tile by tile: where a tile's pixels begin, where they are in the image, from the tile's
     /// corner, and which they are in the order of the image.
     std::vector<std::size_t> starts_;
@@ -263,19 +283,19 @@ class PlaneRenderer {
 
 }  // namespace
 
-void render(const PlaneScene& scene, const VirtualViews& views, float* images,
+void render(const LightField& field, const VirtualViews& views, float* images,
             float* inverse_depths) {
-    PlaneRenderer renderer(scene, views);
+    ViewRenderer renderer(field, views);
     const std::size_t pixels = views.pixels.size();
     for (std::size_t number = 0; number < views.count; ++number) {
         renderer.draw(number, images + 4 * pixels * number);
-        renderer.set_inverse_depths(number, inverse_depths + pixels * number);
+        std::ranges::copy(renderer.inverse_depths(), inverse_depths + pixels * number);
     }
 }
 
-void compare_views(const PlaneScene& scene, const VirtualViews& views, const Comparison& comparison,
+void compare_views(const LightField& field, const VirtualViews& views, const Comparison& comparison,
                    double* costs) {
-    PlaneRenderer renderer(scene, views);
+    ViewRenderer renderer(field, views);
     std::vector<float> image(4 * views.pixels.size());
     const MaskedImage rendered{image.data(), comparison.query.height, comparison.query.width};
     for (std::size_t number = 0; number < views.count; ++number) {
