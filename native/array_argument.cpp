@@ -180,5 +180,6 @@ NewArray<Element>::NewArray(std::initializer_list<std::size_t> shape) {
 
 template struct NewArray<float>;
 template struct NewArray<double>;
+template struct NewArray<std::int32_t>;
 
 }  // namespace lfnav

@@ -63,29 +63,6 @@ inline bool may_show(const Photos& photos, std::size_t photo, const Homography& 
     return std::max({behind, left_of, right_of, above, below}) < 8;
 }
 
-/// Where a recording centre projects to in the virtual image.
-struct ProjectedCentre {
-    double x, y;
-
-    ProjectedCentre(const double* centre, const VirtualCamera& camera) {
-        // Relative to its distance a centre is at least this deep: projections stay finite.
-        constexpr double SMALLEST_DEPTH = 1e-7;
-        double own[3] = {};
-        for (std::size_t i = 0; i < 3; ++i) {
-            const double offset = centre[i] - camera.pose[4 * i + 3];
-            for (std::size_t j = 0; j < 3; ++j) {
-                own[j] += camera.pose[4 * i + j] * offset;
-            }
-        }
-        const double smallest = std::max(
-            SMALLEST_DEPTH * std::sqrt(own[0] * own[0] + own[1] * own[1] + own[2] * own[2]),
-            1e-300);
-        const double depth = std::abs(own[2]) < smallest ? smallest : own[2];
-        x = camera.fx * own[0] / depth + camera.cx;
-        y = camera.fy * own[1] / depth + camera.cy;
-    }
-};
-
 /// Finds the photos for pixels; memory of it is used again.
 class HoleFilling {
   public:
@@ -96,12 +73,13 @@ class HoleFilling {
 
     /// Finds for each uncovered pixel the photo with the nearest projected centre that shows it.
     ///
+    /// @param usable: (N,) which photos may.
     /// @param homography: makes that of a photo, or has it.
     /// @param pixels: of the image that is made, row by row.
     /// @param image: (P, 4) where the last number is 0, the pixel is not covered.
     template <typename HomographyOf>
-    std::span<const Found> operator()(const Photos& photos, const VirtualCamera& camera,
-                                      HomographyOf homography,
+    std::span<const Found> operator()(const Photos& photos, const bool* usable,
+                                      const VirtualCamera& camera, HomographyOf homography,
                                       std::span<const RenderedPixel> pixels, const float* image) {
         found_.clear();
         candidates_.clear();
@@ -118,7 +96,7 @@ class HoleFilling {
             return {};
         }
         for (std::size_t photo = 0; photo < photos.count; ++photo) {
-            if (photos.usable[photo] && may_show(photos, photo, homography(photo), all)) {
+            if (usable[photo] && may_show(photos, photo, homography(photo), all)) {
                 candidates_.push_back(photo);
             }
         }
@@ -162,7 +140,7 @@ class HoleFilling {
             if (place.depth <= 0.0 || !is_inside(photos, photo, place)) {
                 continue;
             }
-            const ProjectedCentre centre(photos.centres + 3 * photo, camera);
+            const Point centre = projected_centre(photos.centres + 3 * photo, camera);
             const double across = centre.x - x, down = centre.y - y;
             const double distance = across * across + down * down;
             if (distance < shortest) {

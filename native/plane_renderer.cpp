@@ -4,9 +4,11 @@
 #include <vector>
 
 #include "comparison.hpp"
+#include "delaunay_blending.hpp"
 #include "hole_filling.hpp"
 #include "homography.hpp"
 #include "level.hpp"
+#include "regions.hpp"
 #include "sampling.hpp"
 #include "tiles.hpp"
 
@@ -18,35 +20,28 @@ constexpr std::size_t SLOTS = 16;
 constexpr std::int32_t END = -1;
 static_assert(MOST_BLENDED < SLOTS);
 
-/// Where numbers may be read or written so many beyond the last one.
-template <typename Number>
-std::vector<Number> with_margin(std::size_t count) {
-    return std::vector<Number>(count + TOGETHER);
-}
-
 /// Renders one virtual view after the other; what it needs for that it makes once.
+///
+/// @tparam Blending: chooses regions of the image, and which photos are blended in them.
+template <typename Blending>
 class PlaneRenderer {
   public:
     PlaneRenderer(const PlaneScene& scene, const VirtualViews& views)
         : scene_(scene),
           views_(views),
-          tiling_(views.grid, scene.index, scene.most_ranked),
           middle_{static_cast<std::int32_t>(views.width / 2),
                   static_cast<std::int32_t>(views.height / 2)},
+          blending_(scene, views, middle_),
           homographies_(scene.photos.count),
           is_mapped_(scene.photos.count),
           shown_(scene.photos.count),
           first_(scene.photos.count, END),
-          next_(SLOTS * tiling_.tiles().size()),
-          pixels_(views.pixels.size()),
-          starts_(tiling_.tiles().size() + 1),
-          x_(with_margin<float>(pixels_.size())),
-          y_(with_margin<float>(pixels_.size())),
-          tile_x_(with_margin<float>(pixels_.size())),
-          tile_y_(with_margin<float>(pixels_.size())),
-          inverse_depth_(with_margin<float>(pixels_.size())),
-          place_(with_margin<std::int32_t>(pixels_.size())) {
-        order_pixels();
+          inverse_depth_(views.pixels.size() + TOGETHER) {
+        const auto width = static_cast<std::int32_t>(views.width);
+        for (const std::int32_t pixel : views.pixels) {
+            pixels_.push_back(
+                {static_cast<float>(pixel % width), static_cast<float>(pixel / width), 0.0F});
+        }
     }
 
     /// Renders a view.
@@ -54,16 +49,20 @@ class PlaneRenderer {
     /// @param image: (P, 4) receives it, see render().
     LFNAV_INLINE void draw(std::size_t number, float* image) {
         const VirtualCamera camera(views_.poses + 16 * number, views_.intrinsics, scene_.plane);
-        tiling_.choose(camera, scene_.index, scene_.penalties);
         std::fill(is_mapped_.begin(), is_mapped_.end(), std::uint8_t{0});
+        const auto own = [&](std::size_t photo) -> const Homography& {
+            return homography(camera, photo);
+        };
+        blending_.choose(camera, own);
         std::fill_n(image, 4 * pixels_.size(), 0.0F);
         const double middle_x = middle_.x, middle_y = middle_.y;
+        const RegionPixels& ordered = blending_.pixels();
 #pragma omp simd
         for (std::size_t i = 0; i < pixels_.size(); ++i) {
-            inverse_depth_[i] = camera.inverse_depth(static_cast<double>(x_[i]) + middle_x,
-                                                     static_cast<double>(y_[i]) + middle_y);
+            inverse_depth_[i] = camera.inverse_depth(static_cast<double>(ordered.x[i]) + middle_x,
+                                                     static_cast<double>(ordered.y[i]) + middle_y);
         }
-        blend_tiles(camera, image);
+        blend_regions(camera, image);
         if (normalise(image) > 0) {
             for (std::size_t i = 0; i < pixels_.size(); ++i) {
                 pixels_[i].inverse_depth = camera.inverse_depth(static_cast<double>(pixels_[i].x),
@@ -83,37 +82,6 @@ class PlaneRenderer {
     }
 
   private:
-    /// Sets the pixels, and sorts them by the tiles that they are in.
-    void order_pixels() {
-        const Grid& grid = tiling_.grid();
-        const auto tile_at = [](std::span<const std::int64_t> borders, std::int64_t place) {
-            const auto inner_end = borders.end() - 1;
-            const auto after = std::upper_bound(borders.begin() + 1, inner_end, place);
-            return static_cast<std::size_t>(after - borders.begin()) - 1;
-        };
-        std::vector<std::size_t> tiles(pixels_.size());
-        const auto width = static_cast<std::int64_t>(views_.width);
-        for (std::size_t i = 0; i < pixels_.size(); ++i) {
-            const std::int64_t column = views_.pixels[i] % width, row = views_.pixels[i] / width;
-            pixels_[i] = {static_cast<float>(column), static_cast<float>(row), 0.0F};
-            tiles[i] = tile_at(grid.down, row) * tiling_.across() + tile_at(grid.across, column);
-            ++starts_[tiles[i] + 1];
-        }
-        for (std::size_t tile = 0; tile + 1 < starts_.size(); ++tile) {
-            starts_[tile + 1] += starts_[tile];
-        }
-        std::vector<std::size_t> ends(starts_.begin(), starts_.end() - 1);
-        for (std::size_t i = 0; i < pixels_.size(); ++i) {
-            const std::size_t tile = tiles[i], place = ends[tile]++;
-            const std::int64_t column = views_.pixels[i] % width, row = views_.pixels[i] / width;
-            x_[place] = static_cast<float>(column - middle_.x);
-            y_[place] = static_cast<float>(row - middle_.y);
-            tile_x_[place] = static_cast<float>(column - grid.across[tile % tiling_.across()]);
-            tile_y_[place] = static_cast<float>(row - grid.down[tile / tiling_.across()]);
-            place_[place] = static_cast<std::int32_t>(i);
-        }
-    }
-
     LFNAV_INLINE const Homography& homography(const VirtualCamera& camera, std::size_t photo) {
         if (is_mapped_[photo] == 0) {
             homographies_[photo].set(scene_.photos, photo, camera, middle_);
@@ -122,18 +90,20 @@ class PlaneRenderer {
         return homographies_[photo];
     }
 
-    /// Chains the tiles that show the same photo; returns how many photos any tile shows.
-    LFNAV_INLINE std::size_t chain_tiles() {
-        const std::span<const Tile> tiles = tiling_.tiles();
+    /// Chains the regions that show the same photo; returns how many photos any region shows.
+    LFNAV_INLINE std::size_t chain_regions() {
+        const std::span<const Region> regions = blending_.regions();
+        const std::vector<std::size_t>& starts = blending_.pixels().starts;
+        next_.resize(std::max(next_.size(), SLOTS * regions.size()));
         std::size_t count = 0;
         // From the last to the first, so that each chain runs from the first to the last.
-        for (std::size_t number = tiles.size(); number-- > 0;) {
-            if (starts_[number] == starts_[number + 1]) {
+        for (std::size_t number = regions.size(); number-- > 0;) {
+            if (starts[number] == starts[number + 1]) {
                 continue;
             }
-            const Tile& tile = tiles[number];
-            for (std::size_t slot = 0; slot < tile.count; ++slot) {
-                const auto photo = static_cast<std::size_t>(tile.photo[slot]);
+            const Region& region = regions[number];
+            for (std::size_t slot = 0; slot < region.count; ++slot) {
+                const auto photo = static_cast<std::size_t>(region.photo[slot]);
                 if (first_[photo] == END) {
                     shown_[count++] = photo;
                 }
@@ -142,24 +112,27 @@ class PlaneRenderer {
                 first_[photo] = static_cast<std::int32_t>(entry);
             }
         }
+        // What a pixel shows must not depend on which regions others are in.
+        std::sort(shown_.begin(), shown_.begin() + static_cast<std::ptrdiff_t>(count));
         return count;
     }
 
-    /// Adds to each pixel what the photos of its tile show, photo by photo.
-    LFNAV_INLINE void blend_tiles(const VirtualCamera& camera, float* image) {
-        const std::span<const Tile> tiles = tiling_.tiles();
-        const std::size_t shown = chain_tiles();
+    /// Adds to each pixel what the photos of its region show, photo by photo.
+    LFNAV_INLINE void blend_regions(const VirtualCamera& camera, float* image) {
+        const std::span<const Region> regions = blending_.regions();
+        const std::vector<std::size_t>& starts = blending_.pixels().starts;
+        const std::size_t shown = chain_regions();
         for (std::size_t number = 0; number < shown; ++number) {
             const std::size_t photo = shown_[number];
             const Homography& own = homography(camera, photo);
             std::size_t count = 0;
             for (std::int32_t entry = first_[photo]; entry != END;) {
                 const auto place = static_cast<std::size_t>(entry);
-                const std::size_t tile = place / SLOTS;
-                std::size_t first = starts_[tile];
-                while (first < starts_[tile + 1]) {
-                    const std::size_t taken = std::min(starts_[tile + 1] - first, CHUNK - count);
-                    load(tiles[tile], place % SLOTS, first, taken, count);
+                const std::size_t region = place / SLOTS;
+                std::size_t first = starts[region];
+                while (first < starts[region + 1]) {
+                    const std::size_t taken = std::min(starts[region + 1] - first, CHUNK - count);
+                    load(regions[region], place % SLOTS, first, taken, count);
                     first += taken;
                     count += taken;
                     if (count == CHUNK) {
@@ -177,20 +150,22 @@ class PlaneRenderer {
         }
     }
 
-    /// Puts pixels of a tile into the chunk, and some more behind them.
-    LFNAV_INLINE void load(const Tile& tile, std::size_t slot, std::size_t first, std::size_t count,
-                           std::size_t place) {
-        const float a = tile.a[slot], b = tile.b[slot], c = tile.c[slot], d = tile.d[slot];
+    /// Puts pixels of a region into the chunk, and some more behind them.
+    LFNAV_INLINE void load(const Region& region, std::size_t slot, std::size_t first,
+                           std::size_t count, std::size_t place) {
+        const RegionPixels& pixels = blending_.pixels();
+        const float a = region.a[slot], b = region.b[slot], c = region.c[slot], d = region.d[slot];
+        const float left = region.left, top = region.top;
         for (std::size_t start = 0; start < count; start += TOGETHER) {
             const std::size_t from = first + start, to = place + start;
 #pragma omp simd
             for (std::size_t i = 0; i < TOGETHER; ++i) {
-                const float x = tile_x_[from + i], y = tile_y_[from + i];
-                chunk_.x[to + i] = x_[from + i];
-                chunk_.y[to + i] = y_[from + i];
+                const float x = pixels.x[from + i] - left, y = pixels.y[from + i] - top;
+                chunk_.x[to + i] = pixels.x[from + i];
+                chunk_.y[to + i] = pixels.y[from + i];
                 chunk_.inverse_depth[to + i] = inverse_depth_[from + i];
                 chunk_.weight[to + i] = a * x + c + (b + d * x) * y;
-                chunk_.pixel[to + i] = place_[from + i];
+                chunk_.pixel[to + i] = pixels.place[from + i];
             }
         }
     }
@@ -215,12 +190,13 @@ class PlaneRenderer {
         return static_cast<std::size_t>(empty);
     }
 
-    /// Has pixels that none of their tile's photos shows shown by others.
+    /// Has pixels that none of their region's photos shows shown by others.
     void fill_holes(const VirtualCamera& camera, float* image) {
         const auto own = [&](std::size_t photo) -> const Homography& {
             return homography(camera, photo);
         };
-        const auto found = filling_(scene_.photos, camera, own, pixels_, image);
+        const auto found =
+            filling_(scene_.photos, blending_.candidates(), camera, own, pixels_, image);
         // Neighbours mostly have the same photo.
         for (std::size_t first = 0, last = 0; first < found.size(); first = last) {
             const std::size_t photo = found[first].photo;
@@ -242,30 +218,26 @@ class PlaneRenderer {
 
     PlaneScene scene_;
     VirtualViews views_;
-    Tiling tiling_;
     Middle middle_;
+    Blending blending_;
     std::vector<Homography> homographies_;
     std::vector<std::uint8_t> is_mapped_;
-    /// Photos that any tile shows; the first tile of each one's chain, and the next: entries are
-    /// SLOTS times the tile and the photo's slot in it.
+    /// Photos that any region shows; the first region of each one's chain, and the next: entries
+    /// are SLOTS times the region and the photo's slot in it.
     std::vector<std::size_t> shown_;
     std::vector<std::int32_t> first_, next_;
     /// In the order of the image.
     std::vector<RenderedPixel> pixels_;
-    /// Tile by tile: where a tile's pixels begin, where they are in the image, from the tile's
-    /// corner, and which they are in the order of the image.
-    std::vector<std::size_t> starts_;
-    std::vector<float> x_, y_, tile_x_, tile_y_, inverse_depth_;
-    std::vector<std::int32_t> place_;
+    /// In the order of the regions' pixels.
+    std::vector<float> inverse_depth_;
     PixelChunk chunk_ = {};
     HoleFilling filling_;
 };
 
-}  // namespace
-
-void render(const PlaneScene& scene, const VirtualViews& views, float* images,
-            float* inverse_depths) {
-    PlaneRenderer renderer(scene, views);
+template <typename Blending>
+void render_by(const PlaneScene& scene, const VirtualViews& views, float* images,
+               float* inverse_depths) {
+    PlaneRenderer<Blending> renderer(scene, views);
     const std::size_t pixels = views.pixels.size();
     for (std::size_t number = 0; number < views.count; ++number) {
         renderer.draw(number, images + 4 * pixels * number);
@@ -273,9 +245,10 @@ void render(const PlaneScene& scene, const VirtualViews& views, float* images,
     }
 }
 
-void compare_views(const PlaneScene& scene, const VirtualViews& views, const Comparison& comparison,
-                   double* costs) {
-    PlaneRenderer renderer(scene, views);
+template <typename Blending>
+void compare_by(const PlaneScene& scene, const VirtualViews& views, const Comparison& comparison,
+                double* costs) {
+    PlaneRenderer<Blending> renderer(scene, views);
     std::vector<float> image(4 * views.pixels.size());
     const MaskedImage rendered{image.data(), comparison.query.height, comparison.query.width};
     for (std::size_t number = 0; number < views.count; ++number) {
@@ -283,6 +256,20 @@ void compare_views(const PlaneScene& scene, const VirtualViews& views, const Com
         costs[number] = compare(comparison.cost, rendered, comparison.query, comparison.fit_gain,
                                 comparison.settings);
     }
+}
+
+}  // namespace
+
+void render(const PlaneScene& scene, const VirtualViews& views, float* images,
+            float* inverse_depths) {
+    (scene.has_mesh ? &render_by<DelaunayBlending> : &render_by<Tiling>)(scene, views, images,
+                                                                         inverse_depths);
+}
+
+void compare_views(const PlaneScene& scene, const VirtualViews& views, const Comparison& comparison,
+                   double* costs) {
+    (scene.has_mesh ? &compare_by<DelaunayBlending> : &compare_by<Tiling>)(scene, views, comparison,
+                                                                           costs);
 }
 
 }  // namespace lfnav::LFNAV_LEVEL

@@ -7,6 +7,7 @@
 #include <string>
 
 #include "array_argument.hpp"
+#include "delaunay_binding.hpp"
 #include "plane_renderer.hpp"
 
 namespace nb = nanobind;
@@ -49,7 +50,8 @@ class PythonPlaneScene {
                      nb::handle projection, nb::handle centres, nb::handle focal, nb::handle usable,
                      nb::handle origin, nb::handle order, nb::handle numbers, nb::handle members,
                      nb::handle blocks, nb::handle groups, nb::handle plane, nb::handle penalties,
-                     nb::handle most_ranked, nb::handle smallest_weight)
+                     nb::handle most_ranked, nb::handle smallest_weight, bool has_mesh,
+                     nb::handle mesh)
         : texels_(texels, "texels", {ANY<std::uint8_t>, 4}),
           level_start_(level_start, "level_start", {ANY<std::int64_t>, ANY<std::int64_t>}),
           level_size_(level_size, "level_size", {photos(), levels(), 2}),
@@ -67,7 +69,9 @@ class PythonPlaneScene {
           penalties_(penalties, "penalties", {4}),
           most_ranked_(integer_between(1, std::numeric_limits<std::int32_t>::max(), most_ranked,
                                        "most_ranked")),
-          smallest_weight_(positive_number(smallest_weight, "smallest_weight")) {
+          smallest_weight_(positive_number(smallest_weight, "smallest_weight")),
+          has_mesh_(has_mesh),
+          mesh_(mesh, "mesh", {4}) {
         check_levels();
         check_range(order_.span(), 0, photos(), "order");
         check_range(members_.span(), -1, signed_size(ranked()), "members");
@@ -87,7 +91,9 @@ class PythonPlaneScene {
                 plane_.data(),
                 {number(0), number(1), number(2), number(3)},
                 most_ranked_,
-                static_cast<float>(smallest_weight_)};
+                static_cast<float>(smallest_weight_),
+                has_mesh_,
+                mesh_settings(mesh_)};
     }
 
   private:
@@ -128,20 +134,24 @@ class PythonPlaneScene {
     ArrayArgument<double> plane_, penalties_;
     std::size_t most_ranked_;
     double smallest_weight_;
+    bool has_mesh_;
+    ArrayArgument<double> mesh_;
 };
 
 /// Which views are rendered, checked.
 class ViewsArgument {
   public:
     ViewsArgument(nb::handle poses, nb::handle intrinsics, nb::handle across, nb::handle down,
-                  nb::handle outlook_across, nb::handle outlook_down, nb::handle pixels,
-                  nb::handle width, nb::handle height)
+                  nb::handle outlook_across, nb::handle outlook_down, nb::handle frustum_across,
+                  nb::handle frustum_down, nb::handle pixels, nb::handle width, nb::handle height)
         : poses_(poses, "poses", {ANY<double>, 4, 4}),
           intrinsics_(intrinsics, "intrinsics", {ANY<double>}),
           across_(across, "across", {ANY<std::int64_t>}),
           down_(down, "down", {ANY<std::int64_t>}),
           outlook_across_(outlook_across, "outlook_across", {4}),
           outlook_down_(outlook_down, "outlook_down", {4}),
+          frustum_across_(frustum_across, "frustum_across", {ANY<std::int64_t>}),
+          frustum_down_(frustum_down, "frustum_down", {ANY<std::int64_t>}),
           pixels_(pixels, "pixels", {ANY<std::int32_t>}),
           width_(integer_between(1, 1 << 15, width, "width")),
           height_(integer_between(1, 1 << 15, height, "height")) {
@@ -155,6 +165,8 @@ class ViewsArgument {
         check_places(down_.span(), height_, "down");
         check_places(outlook_across_.span(), width_, "outlook_across");
         check_places(outlook_down_.span(), height_, "outlook_down");
+        check_places(frustum_across_.span(), width_, "frustum_across");
+        check_places(frustum_down_.span(), height_, "frustum_down");
         check_range(pixels_.span(), 0, signed_size(width_ * height_), "pixels");
     }
 
@@ -167,23 +179,25 @@ class ViewsArgument {
                 intrinsics_.data(),
                 width_,
                 height_,
-                {across_.span(), down_.span(), outlook_across_.span(), outlook_down_.span()},
+                {across_.span(), down_.span(), outlook_across_.span(), outlook_down_.span(),
+                 frustum_across_.span(), frustum_down_.span()},
                 pixels_.span()};
     }
 
   private:
     ArrayArgument<double> poses_, intrinsics_;
-    ArrayArgument<std::int64_t> across_, down_, outlook_across_, outlook_down_;
+    ArrayArgument<std::int64_t> across_, down_, outlook_across_, outlook_down_, frustum_across_,
+        frustum_down_;
     ArrayArgument<std::int32_t> pixels_;
     std::size_t width_, height_;
 };
 
 nb::tuple python_render(const PythonPlaneScene& self, nb::handle poses, nb::handle intrinsics,
                         nb::handle across, nb::handle down, nb::handle outlook_across,
-                        nb::handle outlook_down, nb::handle pixels, nb::handle width,
-                        nb::handle height) {
-    const ViewsArgument views(poses, intrinsics, across, down, outlook_across, outlook_down, pixels,
-                              width, height);
+                        nb::handle outlook_down, nb::handle frustum_across, nb::handle frustum_down,
+                        nb::handle pixels, nb::handle width, nb::handle height) {
+    const ViewsArgument views(poses, intrinsics, across, down, outlook_across, outlook_down,
+                              frustum_across, frustum_down, pixels, width, height);
     NewArray<float> images({views.count(), views.pixels(), 4});
     NewArray<float> inverse_depths({views.count(), views.pixels()});
     const PlaneScene scene = self.scene();
@@ -197,12 +211,12 @@ nb::tuple python_render(const PythonPlaneScene& self, nb::handle poses, nb::hand
 
 nb::object python_costs(const PythonPlaneScene& self, nb::handle poses, nb::handle intrinsics,
                         nb::handle across, nb::handle down, nb::handle outlook_across,
-                        nb::handle outlook_down, nb::handle pixels, nb::handle width,
-                        nb::handle height, nb::handle query, nb::handle cost, bool fit_gain,
-                        nb::handle limits, nb::handle uncovered, nb::handle table,
-                        nb::handle evidence_bin) {
-    const ViewsArgument views(poses, intrinsics, across, down, outlook_across, outlook_down, pixels,
-                              width, height);
+                        nb::handle outlook_down, nb::handle frustum_across, nb::handle frustum_down,
+                        nb::handle pixels, nb::handle width, nb::handle height, nb::handle query,
+                        nb::handle cost, bool fit_gain, nb::handle limits, nb::handle uncovered,
+                        nb::handle table, nb::handle evidence_bin) {
+    const ViewsArgument views(poses, intrinsics, across, down, outlook_across, outlook_down,
+                              frustum_across, frustum_down, pixels, width, height);
     const MaskedImageArgument wanted(query, "query");
     const MaskedImage image = wanted;
     if (image.width * image.height != views.pixels()) {
@@ -246,20 +260,24 @@ void bind_plane_renderer(nb::module_& module) {
     nb::class_<PythonPlaneScene>(module, "PlaneScene")
         .def(nb::init<nb::handle, nb::handle, nb::handle, nb::handle, nb::handle, nb::handle,
                       nb::handle, nb::handle, nb::handle, nb::handle, nb::handle, nb::handle,
-                      nb::handle, nb::handle, nb::handle, nb::handle, nb::handle>(),
+                      nb::handle, nb::handle, nb::handle, nb::handle, nb::handle, bool,
+                      nb::handle>(),
              nb::kw_only(), argument("texels"), argument("level_start"), argument("level_size"),
              argument("projection"), argument("centres"), argument("focal"), argument("usable"),
              argument("origin"), argument("order"), argument("numbers"), argument("members"),
              argument("blocks"), argument("groups"), argument("plane"), argument("penalties"),
-             argument("most_ranked"), argument("smallest_weight"))
+             argument("most_ranked"), argument("smallest_weight"), nb::arg("has_mesh"),
+             argument("mesh"))
         .def("render", &python_render, argument("poses"), argument("intrinsics"),
              argument("across"), argument("down"), argument("outlook_across"),
-             argument("outlook_down"), argument("pixels"), argument("width"), argument("height"))
+             argument("outlook_down"), argument("frustum_across"), argument("frustum_down"),
+             argument("pixels"), argument("width"), argument("height"))
         .def("costs", &python_costs, argument("poses"), argument("intrinsics"), argument("across"),
              argument("down"), argument("outlook_across"), argument("outlook_down"),
-             argument("pixels"), argument("width"), argument("height"), argument("query"),
-             argument("cost"), nb::arg("fit_gain"), argument("limits"), argument("uncovered"),
-             argument("table"), argument("evidence_bin"));
+             argument("frustum_across"), argument("frustum_down"), argument("pixels"),
+             argument("width"), argument("height"), argument("query"), argument("cost"),
+             nb::arg("fit_gain"), argument("limits"), argument("uncovered"), argument("table"),
+             argument("evidence_bin"));
 }
 
 }  // namespace lfnav

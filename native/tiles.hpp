@@ -1,4 +1,4 @@
-// Tiles of the virtual image, each with some photos and weights that are bilinear in the pixel.
+// Tiles of the virtual image, whose photos are the best at their corners.
 
 #pragma once
 
@@ -13,32 +13,24 @@
 #include "outlook.hpp"
 #include "plane_views.hpp"
 #include "ranking.hpp"
+#include "regions.hpp"
 
 namespace lfnav::LFNAV_LEVEL {
-
-/// Photos that are blended in a tile: those of its four corners.
-constexpr std::size_t MOST_BLENDED = 4 * SHARING;
-
-/// A tile's photos and the weights a x + b y + c + d x y of each, from its upper left corner.
-struct Tile {
-    std::size_t count;
-    std::int32_t photo[MOST_BLENDED];
-    float a[MOST_BLENDED], b[MOST_BLENDED], c[MOST_BLENDED], d[MOST_BLENDED];
-};
 
 /// The tiles of virtual images of one size; made once for many of them.
 class Tiling {
   public:
-    /// @param most_ranked: more photos are narrowed down to the best at the outlook's points.
-    Tiling(const Grid& grid, const PhotoIndex& index, std::size_t most_ranked)
-        : grid_(grid),
-          most_ranked_(most_ranked),
-          all_rows_(index.count),
-          bounds_(POINTS * index.groups),
-          tiles_((grid.across.size() - 1) * (grid.down.size() - 1)) {
-        for (std::size_t row = 0; row < index.count; ++row) {
+    Tiling(const PlaneScene& scene, const VirtualViews& views, const Middle& middle)
+        : scene_(scene),
+          grid_(views.grid),
+          all_rows_(scene.index.count),
+          bounds_(POINTS * scene.index.groups),
+          tiles_((grid_.across.size() - 1) * (grid_.down.size() - 1)),
+          pixels_(views.pixels.size()) {
+        for (std::size_t row = 0; row < all_rows_.size(); ++row) {
             all_rows_[row] = static_cast<std::int32_t>(row);
         }
+        const Grid& grid = grid_;
         for (std::size_t i = 0; i < POINTS; ++i) {
             const std::size_t side = grid.outlook_across.size();
             outlook_columns_[i] = static_cast<float>(grid.outlook_across[i % side]);
@@ -56,20 +48,24 @@ class Tiling {
         rows_.resize(filled, rows_.back());
         photos_.resize(SHARING * filled);
         weights_.resize(SHARING * filled);
+        order_pixels(views, middle);
     }
 
-    std::size_t across() const { return grid_.across.size() - 1; }
-    const Grid& grid() const { return grid_; }
-    std::span<const Tile> tiles() const { return tiles_; }
+    std::span<const Region> regions() const { return tiles_; }
+    const RegionPixels& pixels() const { return pixels_; }
+    /// (N,) photos that may show what those of a tile do not.
+    const bool* candidates() const { return scene_.photos.usable; }
 
     /// Chooses the photos of all tiles for a virtual camera, and their weights.
-    LFNAV_INLINE void choose(const VirtualCamera& camera, const PhotoIndex& index,
-                             const PenaltySettings& settings) {
+    template <typename HomographyOf>
+    LFNAV_INLINE void choose(const VirtualCamera& camera, HomographyOf) {
+        const PhotoIndex& index = scene_.index;
+        const PenaltySettings& settings = scene_.penalties;
         SurfacePoints points;
         const std::int32_t* rows = all_rows_.data();
         std::size_t count = index.count;
         std::int32_t few_rows[POINTS];
-        if (count > most_ranked_) {
+        if (count > scene_.most_ranked) {
             Outlook outlook;
             set_points(camera, index.origin, outlook_columns_, outlook_rows_, points);
             look_out(points, index, settings, bounds_.data(), outlook);
@@ -91,8 +87,41 @@ class Tiling {
     }
 
   private:
+    std::size_t across() const { return grid_.across.size() - 1; }
+
+    /// Sorts the pixels by the tiles that they are in, and sets where these begin.
+    void order_pixels(const VirtualViews& views, const Middle& middle) {
+        for (std::size_t i = 0; i < tiles_.size(); ++i) {
+            tiles_[i].left = static_cast<float>(grid_.across[i % across()] - middle.x);
+            tiles_[i].top = static_cast<float>(grid_.down[i / across()] - middle.y);
+        }
+        const auto tile_at = [](std::span<const std::int64_t> borders, std::int64_t place) {
+            const auto inner_end = borders.end() - 1;
+            const auto after = std::upper_bound(borders.begin() + 1, inner_end, place);
+            return static_cast<std::size_t>(after - borders.begin()) - 1;
+        };
+        std::vector<std::size_t> tiles(views.pixels.size());
+        pixels_.starts.resize(tiles_.size() + 1);
+        const auto width = static_cast<std::int64_t>(views.width);
+        for (std::size_t i = 0; i < tiles.size(); ++i) {
+            const std::int64_t column = views.pixels[i] % width, row = views.pixels[i] / width;
+            tiles[i] = tile_at(grid_.down, row) * across() + tile_at(grid_.across, column);
+            ++pixels_.starts[tiles[i] + 1];
+        }
+        for (std::size_t tile = 0; tile < tiles_.size(); ++tile) {
+            pixels_.starts[tile + 1] += pixels_.starts[tile];
+        }
+        std::vector<std::size_t> ends(pixels_.starts.begin(), pixels_.starts.end() - 1);
+        for (std::size_t i = 0; i < tiles.size(); ++i) {
+            const std::size_t place = ends[tiles[i]]++;
+            pixels_.x[place] = static_cast<float>(views.pixels[i] % width - middle.x);
+            pixels_.y[place] = static_cast<float>(views.pixels[i] / width - middle.y);
+            pixels_.place[place] = static_cast<std::int32_t>(i);
+        }
+    }
+
     /// Sets a tile from the photos of its corners.
-    LFNAV_INLINE void join_corners(std::size_t row, std::size_t column, Tile& tile) const {
+    LFNAV_INLINE void join_corners(std::size_t row, std::size_t column, Region& tile) const {
         const std::size_t corners = grid_.across.size();
         float at_corner[4][MOST_BLENDED + 1] = {};
         std::size_t count = 0;
@@ -130,11 +159,12 @@ class Tiling {
         }
     }
 
+    PlaneScene scene_;
     Grid grid_;
-    std::size_t most_ranked_;
     std::vector<std::int32_t> all_rows_;
     std::vector<float> bounds_;
-    std::vector<Tile> tiles_;
+    std::vector<Region> tiles_;
+    RegionPixels pixels_;
     float outlook_columns_[POINTS], outlook_rows_[POINTS];
     std::vector<float> columns_, rows_;
     std::vector<std::int32_t> photos_;

@@ -9,8 +9,15 @@ import pytest
 from pipelines import native
 from pipelines.artifacts.array_types import Float32Array, FloatArray
 from pipelines.geometry.camera import Intrinsics
-from pipelines.lightfield.blending import MOST_RANKED, outlook_positions, tile_borders
+from pipelines.lightfield.blending import (
+    MOST_RANKED,
+    Blending,
+    outlook_positions,
+    tile_borders,
+)
 from pipelines.lightfield.comparison import EVIDENCE_BINS, EVIDENCE_ROWS, Cost, PixelEvidence
+from pipelines.lightfield.net import MESH_LIMITS
+from pipelines.lightfield.reference import frustum_positions
 from pipelines.lightfield.renderer import Renderer
 from tests.lightfield_samples import looking, noise_views, pinhole, tilted_wall
 from tests.test_renderers_agree import at_wall, somewhere
@@ -18,14 +25,17 @@ from tests.test_renderers_agree import at_wall, somewhere
 SIZES = [pinhole(24, 18, 20.0), pinhole(41, 29, 50.0), pinhole(1, 1, 1.0), pinhole(3, 2, 3.0)]
 
 
-def light_field(count: int, seed: int) -> tuple[Renderer, FloatArray]:
+def light_field(
+    count: int, seed: int, blending: Blending = Blending.UNSTRUCTURED
+) -> tuple[Renderer, FloatArray]:
     """A renderer of so many photos of a wall, and poses that look at it or past it."""
     generator = np.random.default_rng(seed)
     recorded = [
         looking(somewhere(generator, 2.0, 4.0), at_wall(generator), float(roll))
         for roll in generator.uniform(-0.3, 0.3, count)
     ]
-    renderer = Renderer(noise_views(recorded, generator), tilted_wall(generator), threads=1)
+    views, plane = noise_views(recorded, generator), tilted_wall(generator)
+    renderer = Renderer(views, plane, blending, threads=1)
     poses = [
         looking(somewhere(generator, 1.0, 5.0), at_wall(generator) * [3.0, 1.0, 2.0])
         for _ in range(40)
@@ -52,8 +62,11 @@ def evidence() -> PixelEvidence:
 @pytest.mark.parametrize("count", [1, 12, MOST_RANKED + 30])
 @pytest.mark.parametrize("camera", SIZES, ids=lambda camera: f"{camera.width}x{camera.height}")
 @pytest.mark.parametrize("cost", Cost)
-def test_costs_are_those_of_compiled_python(cost: Cost, camera: Intrinsics, count: int) -> None:
-    renderer, poses = light_field(count, seed=count)
+@pytest.mark.parametrize("blending", Blending)
+def test_costs_are_those_of_compiled_python(
+    blending: Blending, cost: Cost, camera: Intrinsics, count: int
+) -> None:
+    renderer, poses = light_field(count, count, blending)
     table = evidence() if cost is Cost.EVIDENCE else None
     for share in (1.0, 0.3):
         query = camera_image(camera, 5, share)
@@ -67,19 +80,21 @@ def test_costs_are_those_of_compiled_python(cost: Cost, camera: Intrinsics, coun
             np.testing.assert_allclose(found, expected, rtol=2e-4, atol=2e-4)
 
 
-def test_threads_and_batches_change_nothing() -> None:
-    renderer, poses = light_field(30, seed=7)
+@pytest.mark.parametrize("blending", Blending)
+def test_threads_and_batches_change_nothing(blending: Blending) -> None:
+    renderer, poses = light_field(30, 7, blending)
     camera = SIZES[1]
     query = camera_image(camera, 8, 0.5)
     expected = renderer.costs(poses, camera, query, Cost.ROBUST, True)
-    several = Renderer(renderer.views, renderer.plane, threads=3)
+    several = Renderer(renderer.views, renderer.plane, blending, threads=3)
     np.testing.assert_array_equal(several.costs(poses, camera, query, Cost.ROBUST, True), expected)
     single = [renderer.costs(pose[None], camera, query, Cost.ROBUST, True)[0] for pose in poses]
     np.testing.assert_array_equal(single, expected)
 
 
-def test_which_pixels_are_compared_does_not_change_what_they_show() -> None:
-    renderer, poses = light_field(12, seed=9)
+@pytest.mark.parametrize("blending", Blending)
+def test_which_pixels_are_compared_does_not_change_what_they_show(blending: Blending) -> None:
+    renderer, poses = light_field(12, 9, blending)
     assert renderer._native is not None
     camera = SIZES[1]
     every = np.arange(camera.width * camera.height, dtype=np.int32)
@@ -90,8 +105,9 @@ def test_which_pixels_are_compared_does_not_change_what_they_show() -> None:
     np.testing.assert_array_equal(inverse_depths, depths[:, some])
 
 
-def test_poses_that_are_no_numbers_show_nothing() -> None:
-    renderer, poses = light_field(MOST_RANKED + 6, seed=10)
+@pytest.mark.parametrize("blending", Blending)
+def test_poses_that_are_no_numbers_show_nothing(blending: Blending) -> None:
+    renderer, poses = light_field(MOST_RANKED + 6, 10, blending)
     assert renderer._native is not None
     for value in (np.nan, np.inf, 1e300):
         images, _ = renderer._native.draw(
@@ -117,6 +133,8 @@ def scene_arguments() -> dict[str, Any]:
         "penalties": np.array([0.05, 0.03, 1e-6, 1e-4]),
         "most_ranked": 64,
         "smallest_weight": 1e-6,
+        "has_mesh": True,
+        "mesh": MESH_LIMITS,
     }
 
 
@@ -143,6 +161,7 @@ SCENES: list[tuple[str, Callable[[Any], object]]] = [
     ("penalties", lambda a: a[:3]),
     ("most_ranked", lambda a: 0),
     ("smallest_weight", lambda a: -1.0),
+    ("mesh", lambda a: a[:3]),
 ]
 
 
@@ -166,6 +185,8 @@ def comparison_arguments() -> dict[str, Any]:
         "down": tile_borders(camera.height),
         "outlook_across": outlook_positions(camera.width),
         "outlook_down": outlook_positions(camera.height),
+        "frustum_across": frustum_positions(camera.width),
+        "frustum_down": frustum_positions(camera.height),
         "pixels": np.arange(7, dtype=np.int32),
         "width": camera.width,
         "height": camera.height,
@@ -189,6 +210,8 @@ COMPARISONS: list[tuple[str, Callable[[Any], object]]] = [
     ("down", lambda a: a[:1]),
     ("outlook_across", lambda a: a + 1),
     ("outlook_down", lambda a: a[:3]),
+    ("frustum_across", lambda a: a + 1),
+    ("frustum_down", lambda a: -a),
     ("pixels", lambda a: a + 24 * 18 - 6),
     ("pixels", lambda a: a - 1),
     ("width", lambda a: 0),

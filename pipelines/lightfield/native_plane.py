@@ -1,4 +1,4 @@
-"""The renderer's path through the C++ core: one plane, views blended as unstructured lumigraph."""
+"""The renderer's path through the C++ core: one plane, views blended by either rule."""
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from pipelines.lightfield.blending import (
     RESOLUTION_PENALTY,
     SMALLEST_MARGIN,
     SMALLEST_PENALTY,
+    Blending,
     outlook_positions,
     tile_borders,
 )
@@ -32,7 +33,8 @@ from pipelines.lightfield.comparison import (
     UNCOVERED_ZNCC,
     Cost,
 )
-from pipelines.lightfield.reference import SMALLEST_WEIGHT
+from pipelines.lightfield.net import MESH_LIMITS
+from pipelines.lightfield.reference import SMALLEST_WEIGHT, frustum_positions
 from pipelines.lightfield.view_index import ViewIndex
 from pipelines.lightfield.views import ViewArrays
 from pipelines.native import PlaneScene
@@ -49,10 +51,16 @@ class NativePlane:
         index: of those that may take part.
         usable: ``(N,)`` which these are.
         plane: the surface.
+        blending: the rule that chooses and weights the views.
     """
 
     def __init__(
-        self, arrays: ViewArrays, index: ViewIndex, usable: BoolArray, plane: Plane
+        self,
+        arrays: ViewArrays,
+        index: ViewIndex,
+        usable: BoolArray,
+        plane: Plane,
+        blending: Blending,
     ) -> None:
         self._scene = PlaneScene(
             texels=arrays.texels,
@@ -74,6 +82,8 @@ class NativePlane:
             ),
             most_ranked=MOST_RANKED,
             smallest_weight=SMALLEST_WEIGHT,
+            has_mesh=blending is Blending.DELAUNAY,
+            mesh=MESH_LIMITS,
         )
 
     def draw(
@@ -136,11 +146,10 @@ class NativePlane:
         )
 
 
-def _grid(intrinsics: Intrinsics) -> tuple[IntArray, IntArray, IntArray, IntArray]:
-    """Columns and rows of the tiles' corners, and of the points of the outlook."""
-    return (
-        tile_borders(intrinsics.width),
-        tile_borders(intrinsics.height),
-        outlook_positions(intrinsics.width),
-        outlook_positions(intrinsics.height),
-    )
+def _grid(intrinsics: Intrinsics) -> list[IntArray]:
+    """Columns and rows: of the tiles' corners, of points of the outlook and of the frustum."""
+    return [
+        positions(size)
+        for positions in (tile_borders, outlook_positions, frustum_positions)
+        for size in (intrinsics.width, intrinsics.height)
+    ]

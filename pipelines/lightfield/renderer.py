@@ -153,9 +153,9 @@ class Renderer:
         )
         self._spaces = Workspaces(self._field)
         self._native: NativePlane | None = None
-        if quality is Quality.PLANE and blending is Blending.UNSTRUCTURED:
+        if quality is Quality.PLANE:
             index = self._field.view_index
-            self._native = NativePlane(self.views.arrays, index, usable, plane)
+            self._native = NativePlane(self.views.arrays, index, usable, plane, blending)
 
     @classmethod
     def of_scene(
