@@ -18,27 +18,23 @@
 #include "homography.hpp"
 #include "light_field.hpp"
 #include "occlusion.hpp"
+#include "surface.hpp"
 
 namespace lfnav::LFNAV_LEVEL {
-
-/// A pixel that is to be rendered.
-struct RenderedPixel {
-    float x, y, inverse_depth;
-};
 
 /// Around some pixels.
 struct PixelBox {
     static constexpr double LARGEST = std::numeric_limits<double>::infinity();
     double x[2] = {LARGEST, -LARGEST}, y[2] = {LARGEST, -LARGEST}, d[2] = {LARGEST, -LARGEST};
 
-    void add(const RenderedPixel& pixel) {
+    void add(float own_x, float own_y, float inverse_depth) {
         const auto grow = [](double* range, float value) {
             range[0] = std::min(range[0], static_cast<double>(value));
             range[1] = std::max(range[1], static_cast<double>(value));
         };
-        grow(x, pixel.x);
-        grow(y, pixel.y);
-        grow(d, pixel.inverse_depth);
+        grow(x, own_x);
+        grow(y, own_y);
+        grow(d, inverse_depth);
     }
 
     bool is_empty() const { return x[0] > x[1]; }
@@ -64,29 +60,6 @@ inline bool may_show(const Photos& photos, std::size_t photo, const Homography& 
     return std::max({behind, left_of, right_of, above, below}) < 8;
 }
 
-/// Where a recording centre projects to in the virtual image.
-struct ProjectedCentre {
-    double x, y;
-
-    ProjectedCentre(const double* centre, const VirtualCamera& camera) {
-        // Relative to its distance a centre is at least this deep: projections stay finite.
-        constexpr double SMALLEST_DEPTH = 1e-7;
-        double own[3] = {};
-        for (std::size_t i = 0; i < 3; ++i) {
-            const double offset = centre[i] - camera.pose[4 * i + 3];
-            for (std::size_t j = 0; j < 3; ++j) {
-                own[j] += camera.pose[4 * i + j] * offset;
-            }
-        }
-        const double smallest = std::max(
-            SMALLEST_DEPTH * std::sqrt(own[0] * own[0] + own[1] * own[1] + own[2] * own[2]),
-            1e-300);
-        const double depth = std::abs(own[2]) < smallest ? smallest : own[2];
-        x = camera.fx * own[0] / depth + camera.cx;
-        y = camera.fy * own[1] / depth + camera.cy;
-    }
-};
-
 /// Finds the photos for pixels; memory of it is used again.
 class HoleFilling {
   public:
@@ -97,39 +70,43 @@ class HoleFilling {
 
     /// Finds for each uncovered pixel the photo with the nearest projected centre that shows it.
     ///
+    /// @param usable: (N,) which photos may.
     /// @param homography: makes that of a photo, or has it.
-    /// @param pixels: of the image that is made, row by row.
+    /// @param pixels: of the image that is made, row by row, with
+    /// @param inverse_depths: of the surface.
     /// @param image: (P, 4) where the last number is 0, the pixel is not covered.
     template <typename HomographyOf>
-    std::span<const Found> operator()(const Photos& photos, const VirtualCamera& camera,
-                                      HomographyOf homography,
-                                      std::span<const RenderedPixel> pixels, const float* image) {
+    std::span<const Found> operator()(const Photos& photos, const bool* usable,
+                                      const VirtualCamera& camera, HomographyOf homography,
+                                      const Places& pixels, std::span<const float> inverse_depths,
+                                      const float* image) {
         found_.clear();
         candidates_.clear();
         const auto is_hole = [&](std::size_t i) {
-            return image[4 * i + 3] == 0.0F && pixels[i].inverse_depth > 0.0F;
+            return image[4 * i + 3] == 0.0F && inverse_depths[i] > 0.0F;
         };
         PixelBox all;
-        for (std::size_t i = 0; i < pixels.size(); ++i) {
+        for (std::size_t i = 0; i < inverse_depths.size(); ++i) {
             if (is_hole(i)) {
-                all.add(pixels[i]);
+                all.add(pixels.x[i], pixels.y[i], inverse_depths[i]);
             }
         }
         if (all.is_empty()) {
             return {};
         }
         for (std::size_t photo = 0; photo < photos.count; ++photo) {
-            if (photos.usable[photo] && may_show(photos, photo, homography(photo), all)) {
-                candidates_.push_back({photo, {photos.centres + 3 * photo, camera}});
+            if (usable[photo] && may_show(photos, photo, homography(photo), all)) {
+                candidates_.push_back(
+                    {photo, projected_centre(photos.centres + 3 * photo, camera)});
             }
         }
         std::size_t last = 0;
-        while (last < pixels.size() && !candidates_.empty()) {
+        while (last < inverse_depths.size() && !candidates_.empty()) {
             const std::size_t first = last;
             PixelBox box;
-            for (; last < pixels.size() && pixels[last].y == pixels[first].y; ++last) {
+            for (; last < inverse_depths.size() && pixels.y[last] == pixels.y[first]; ++last) {
                 if (is_hole(last)) {
-                    box.add(pixels[last]);
+                    box.add(pixels.x[last], pixels.y[last], inverse_depths[last]);
                 }
             }
             if (box.is_empty()) {
@@ -143,7 +120,7 @@ class HoleFilling {
             }
             for (std::size_t i = first; i < last && !in_row_.empty(); ++i) {
                 if (is_hole(i)) {
-                    find(photos, homography, pixels[i], i);
+                    find(photos, homography, pixels.x[i], pixels.y[i], inverse_depths[i], i);
                 }
             }
         }
@@ -153,16 +130,14 @@ class HoleFilling {
   private:
     struct Candidate {
         std::size_t photo;
-        ProjectedCentre centre;
+        Point centre;
     };
 
     /// One that has something nearer before the pixel's surface point is taken only where all have:
     /// depth maps are not exact enough to leave holes.
     template <typename HomographyOf>
-    void find(const Photos& photos, HomographyOf homography, const RenderedPixel& pixel,
-              std::size_t number) {
-        const double x = static_cast<double>(pixel.x), y = static_cast<double>(pixel.y);
-        const auto inverse_depth = static_cast<double>(pixel.inverse_depth);
+    void find(const Photos& photos, HomographyOf homography, double x, double y,
+              double inverse_depth, std::size_t number) {
         // Of those that do not have, and of those that have.
         double shortest[2] = {PixelBox::LARGEST, PixelBox::LARGEST};
         std::size_t nearest[2] = {photos.count, photos.count};

@@ -2,6 +2,7 @@
 
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
@@ -34,6 +35,27 @@ struct VirtualCamera {
 
     double focal() const { return 0.5 * (fx + fy); }
 };
+
+struct Point {
+    double x, y;
+};
+
+/// Where a recording centre projects to in the virtual image, whichever side of it it is on.
+inline Point projected_centre(const double* centre, const VirtualCamera& camera) {
+    // Relative to its distance a centre is at least this deep: projections stay finite.
+    constexpr double SMALLEST_DEPTH = 1e-7;
+    double own[3] = {};
+    for (std::size_t i = 0; i < 3; ++i) {
+        const double offset = centre[i] - camera.pose[4 * i + 3];
+        for (std::size_t j = 0; j < 3; ++j) {
+            own[j] += camera.pose[4 * i + j] * offset;
+        }
+    }
+    const double smallest = std::max(
+        SMALLEST_DEPTH * std::sqrt(own[0] * own[0] + own[1] * own[1] + own[2] * own[2]), 1e-300);
+    const double depth = std::abs(own[2]) < smallest ? smallest : own[2];
+    return {camera.fx * own[0] / depth + camera.cx, camera.fy * own[1] / depth + camera.cy};
+}
 
 /// A place in a photo, and the depth of what is there, relative to the virtual one.
 struct Place {

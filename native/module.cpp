@@ -5,6 +5,7 @@
 
 #include "alignment_binding.hpp"
 #include "brightness_binding.hpp"
+#include "delaunay_binding.hpp"
 #include "instruction_set.hpp"
 #include "renderer_binding.hpp"
 
@@ -17,5 +18,6 @@ NB_MODULE(native, module) {
         "Name of the processor's level, of those that the core is compiled for.");
     lfnav::bind_alignment(module);
     lfnav::bind_brightness(module);
+    lfnav::bind_delaunay(module);
     lfnav::bind_renderer(module);
 }

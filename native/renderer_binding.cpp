@@ -7,6 +7,7 @@
 #include <string>
 
 #include "array_argument.hpp"
+#include "delaunay_binding.hpp"
 #include "renderer.hpp"
 
 namespace nb = nanobind;
@@ -52,7 +53,7 @@ class PythonLightField {
                      nb::handle origin, nb::handle order, nb::handle numbers, nb::handle members,
                      nb::handle blocks, nb::handle groups, nb::handle plane,
                      nb::handle depth_settings, nb::handle penalties, nb::handle most_ranked,
-                     nb::handle smallest_weight)
+                     nb::handle smallest_weight, bool has_mesh, nb::handle mesh)
         : texels_(texels, "texels", {ANY<std::uint8_t>, 4}),
           level_start_(level_start, "level_start", {ANY<std::int64_t>, ANY<std::int64_t>}),
           level_size_(level_size, "level_size", {photos(), levels(), 2}),
@@ -77,7 +78,9 @@ class PythonLightField {
           penalties_(penalties, "penalties", {4}),
           most_ranked_(integer_between(1, std::numeric_limits<std::int32_t>::max(), most_ranked,
                                        "most_ranked")),
-          smallest_weight_(positive_number(smallest_weight, "smallest_weight")) {
+          smallest_weight_(positive_number(smallest_weight, "smallest_weight")),
+          has_mesh_(has_mesh),
+          mesh_(mesh, "mesh", {4}) {
         check_levels();
         check_depth_maps();
         check_range(order_.span(), 0, photos(), "order");
@@ -103,7 +106,9 @@ class PythonLightField {
              static_cast<float>(depth[2]), depth[3]},
             {number(0), number(1), number(2), number(3)},
             most_ranked_,
-            static_cast<float>(smallest_weight_)};
+            static_cast<float>(smallest_weight_),
+            has_mesh_,
+            mesh_settings(mesh_)};
     }
 
   private:
@@ -183,6 +188,8 @@ class PythonLightField {
     bool has_depth_ = false;
     std::size_t most_ranked_;
     double smallest_weight_;
+    bool has_mesh_;
+    ArrayArgument<double> mesh_;
 };
 
 /// Which views are rendered, checked.
@@ -190,14 +197,17 @@ class ViewsArgument {
   public:
     ViewsArgument(std::size_t photos, nb::handle poses, nb::handle intrinsics, nb::handle across,
                   nb::handle down, nb::handle outlook_across, nb::handle outlook_down,
-                  nb::handle pixels, nb::handle width, nb::handle height, nb::handle samples,
-                  nb::handle sources, nb::handle spacing)
+                  nb::handle frustum_across, nb::handle frustum_down, nb::handle pixels,
+                  nb::handle width, nb::handle height, nb::handle samples, nb::handle sources,
+                  nb::handle spacing)
         : poses_(poses, "poses", {ANY<double>, 4, 4}),
           intrinsics_(intrinsics, "intrinsics", {ANY<double>}),
           across_(across, "across", {ANY<std::int64_t>}),
           down_(down, "down", {ANY<std::int64_t>}),
           outlook_across_(outlook_across, "outlook_across", {4}),
           outlook_down_(outlook_down, "outlook_down", {4}),
+          frustum_across_(frustum_across, "frustum_across", {ANY<std::int64_t>}),
+          frustum_down_(frustum_down, "frustum_down", {ANY<std::int64_t>}),
           pixels_(pixels, "pixels", {ANY<std::int32_t>}),
           width_(integer_between(1, 1 << 15, width, "width")),
           height_(integer_between(1, 1 << 15, height, "height")),
@@ -220,6 +230,8 @@ class ViewsArgument {
         check_places(down_.span(), height_, "down");
         check_places(outlook_across_.span(), width_, "outlook_across");
         check_places(outlook_down_.span(), height_, "outlook_down");
+        check_places(frustum_across_.span(), width_, "frustum_across");
+        check_places(frustum_down_.span(), height_, "frustum_down");
         check_range(pixels_.span(), 0, signed_size(width_ * height_), "pixels");
     }
 
@@ -232,7 +244,8 @@ class ViewsArgument {
                 intrinsics_.data(),
                 width_,
                 height_,
-                {across_.span(), down_.span(), outlook_across_.span(), outlook_down_.span()},
+                {across_.span(), down_.span(), outlook_across_.span(), outlook_down_.span(),
+                 frustum_across_.span(), frustum_down_.span()},
                 pixels_.span(),
                 samples_,
                 sources_.data(),
@@ -242,7 +255,8 @@ class ViewsArgument {
 
   private:
     ArrayArgument<double> poses_, intrinsics_;
-    ArrayArgument<std::int64_t> across_, down_, outlook_across_, outlook_down_;
+    ArrayArgument<std::int64_t> across_, down_, outlook_across_, outlook_down_, frustum_across_,
+        frustum_down_;
     ArrayArgument<std::int32_t> pixels_;
     std::size_t width_, height_;
     ArrayArgument<std::int32_t> sources_;
@@ -283,12 +297,13 @@ nb::object python_sources(const PythonLightField& self, nb::handle poses,
 
 nb::tuple python_render(const PythonLightField& self, nb::handle poses, nb::handle intrinsics,
                         nb::handle across, nb::handle down, nb::handle outlook_across,
-                        nb::handle outlook_down, nb::handle pixels, nb::handle width,
-                        nb::handle height, nb::handle samples, nb::handle sources,
-                        nb::handle spacing) {
+                        nb::handle outlook_down, nb::handle frustum_across, nb::handle frustum_down,
+                        nb::handle pixels, nb::handle width, nb::handle height, nb::handle samples,
+                        nb::handle sources, nb::handle spacing) {
     const LightField field = self.light_field();
     const ViewsArgument views(field.photos.count, poses, intrinsics, across, down, outlook_across,
-                              outlook_down, pixels, width, height, samples, sources, spacing);
+                              outlook_down, frustum_across, frustum_down, pixels, width, height,
+                              samples, sources, spacing);
     NewArray<float> images({views.count(), views.pixels(), 4});
     NewArray<float> inverse_depths({views.count(), views.pixels()});
     {
@@ -301,14 +316,15 @@ nb::tuple python_render(const PythonLightField& self, nb::handle poses, nb::hand
 
 nb::object python_costs(const PythonLightField& self, nb::handle poses, nb::handle intrinsics,
                         nb::handle across, nb::handle down, nb::handle outlook_across,
-                        nb::handle outlook_down, nb::handle pixels, nb::handle width,
-                        nb::handle height, nb::handle samples, nb::handle sources,
-                        nb::handle spacing, nb::handle query, nb::handle cost, bool fit_gain,
-                        nb::handle limits, nb::handle uncovered, nb::handle table,
+                        nb::handle outlook_down, nb::handle frustum_across, nb::handle frustum_down,
+                        nb::handle pixels, nb::handle width, nb::handle height, nb::handle samples,
+                        nb::handle sources, nb::handle spacing, nb::handle query, nb::handle cost,
+                        bool fit_gain, nb::handle limits, nb::handle uncovered, nb::handle table,
                         nb::handle evidence_bin) {
     const LightField field = self.light_field();
     const ViewsArgument views(field.photos.count, poses, intrinsics, across, down, outlook_across,
-                              outlook_down, pixels, width, height, samples, sources, spacing);
+                              outlook_down, frustum_across, frustum_down, pixels, width, height,
+                              samples, sources, spacing);
     const MaskedImageArgument wanted(query, "query");
     const MaskedImage image = wanted;
     if (image.width * image.height != views.pixels()) {
@@ -355,26 +371,30 @@ void bind_renderer(nb::module_& module) {
         .def(nb::init<nb::handle, nb::handle, nb::handle, nb::handle, nb::handle, nb::handle,
                       nb::handle, nb::handle, nb::handle, nb::handle, nb::handle, nb::handle,
                       nb::handle, nb::handle, nb::handle, nb::handle, nb::handle, nb::handle,
-                      nb::handle, nb::handle, nb::handle, nb::handle, nb::handle, nb::handle>(),
+                      nb::handle, nb::handle, nb::handle, nb::handle, nb::handle, nb::handle, bool,
+                      nb::handle>(),
              nb::kw_only(), argument("texels"), argument("level_start"), argument("level_size"),
              argument("projection"), argument("rays"), argument("centres"), argument("focal"),
              argument("inverse_depth"), argument("depth_start"), argument("depth_size"),
              argument("pooled_depth"), argument("pooled_start"), argument("usable"),
              argument("origin"), argument("order"), argument("numbers"), argument("members"),
              argument("blocks"), argument("groups"), argument("plane"), argument("depth_settings"),
-             argument("penalties"), argument("most_ranked"), argument("smallest_weight"))
+             argument("penalties"), argument("most_ranked"), argument("smallest_weight"),
+             nb::arg("has_mesh"), argument("mesh"))
         .def("depth_samples", &python_depth_samples, argument("is_source"), argument("steps"))
         .def("sources", &python_sources, argument("poses"), argument("usual_inverse_depth"),
              argument("turn_cost"), argument("most"))
         .def("render", &python_render, argument("poses"), argument("intrinsics"),
              argument("across"), argument("down"), argument("outlook_across"),
-             argument("outlook_down"), argument("pixels"), argument("width"), argument("height"),
-             argument("samples"), argument("sources"), argument("spacing"))
+             argument("outlook_down"), argument("frustum_across"), argument("frustum_down"),
+             argument("pixels"), argument("width"), argument("height"), argument("samples"),
+             argument("sources"), argument("spacing"))
         .def("costs", &python_costs, argument("poses"), argument("intrinsics"), argument("across"),
              argument("down"), argument("outlook_across"), argument("outlook_down"),
-             argument("pixels"), argument("width"), argument("height"), argument("samples"),
-             argument("sources"), argument("spacing"), argument("query"), argument("cost"),
-             nb::arg("fit_gain"), argument("limits"), argument("uncovered"), argument("table"),
+             argument("frustum_across"), argument("frustum_down"), argument("pixels"),
+             argument("width"), argument("height"), argument("samples"), argument("sources"),
+             argument("spacing"), argument("query"), argument("cost"), nb::arg("fit_gain"),
+             argument("limits"), argument("uncovered"), argument("table"),
              argument("evidence_bin"));
 }
 

@@ -1,4 +1,4 @@
-// Tiles of the virtual image, each with some photos and weights that are bilinear in the pixel.
+// Tiles of the virtual image, whose photos are the best at their corners.
 
 #pragma once
 
@@ -12,38 +12,32 @@
 #include "light_field.hpp"
 #include "outlook.hpp"
 #include "ranking.hpp"
+#include "regions.hpp"
 #include "surface.hpp"
 #include "virtual_views.hpp"
 
 namespace lfnav::LFNAV_LEVEL {
 
-/// Photos that are blended in a tile: those of its four corners.
-constexpr std::size_t MOST_BLENDED = 4 * SHARING;
-
-/// A tile's photos and the weights a x + b y + c + d x y of each, from its upper left corner.
-struct Tile {
-    std::size_t count;
-    std::int32_t photo[MOST_BLENDED];
-    float a[MOST_BLENDED], b[MOST_BLENDED], c[MOST_BLENDED], d[MOST_BLENDED];
-};
-
 /// The tiles of virtual images of one size; made once for many of them.
 class Tiling {
   public:
-    Tiling(const Grid& grid, const LightField& field, const Surface& surface)
-        : grid_(grid),
-          field_(field),
+    Tiling(const LightField& field, const VirtualViews& views, const Middle& middle,
+           const Surface& surface)
+        : field_(field),
+          grid_(views.grid),
           all_rows_(field.index.count),
           bounds_(POINTS * field.index.groups),
-          tiles_((grid.across.size() - 1) * (grid.down.size() - 1)),
+          tiles_((grid_.across.size() - 1) * (grid_.down.size() - 1)),
+          pixels_(views.pixels.size()),
           outlook_(POINTS),
-          corners_((grid.across.size() * grid.down.size() + POINTS - 1) / POINTS * POINTS),
+          corners_((grid_.across.size() * grid_.down.size() + POINTS - 1) / POINTS * POINTS),
           inverse_depths_(corners_.count()),
           photos_(SHARING * corners_.count()),
           weights_(SHARING * corners_.count()) {
         for (std::size_t row = 0; row < all_rows_.size(); ++row) {
             all_rows_[row] = static_cast<std::int32_t>(row);
         }
+        const Grid& grid = grid_;
         for (std::size_t i = 0; i < POINTS; ++i) {
             const std::size_t side = grid.outlook_across.size();
             outlook_.x[i] = static_cast<float>(grid.outlook_across[i % side]);
@@ -58,16 +52,19 @@ class Tiling {
         }
         surface.prepare(outlook_);
         surface.prepare(corners_);
+        order_pixels(views, middle);
     }
 
-    std::size_t across() const { return grid_.across.size() - 1; }
-    const Grid& grid() const { return grid_; }
-    std::span<const Tile> tiles() const { return tiles_; }
+    std::span<const Region> regions() const { return tiles_; }
+    const RegionPixels& pixels() const { return pixels_; }
+    /// (N,) photos that may show what those of a tile do not.
+    const bool* candidates() const { return field_.photos.usable; }
 
     /// Chooses the photos of all tiles for a virtual camera, and their weights.
     ///
     /// @param surface: as it sees it.
-    LFNAV_INLINE void choose(const VirtualCamera& camera, const Surface& surface) {
+    template <typename HomographyOf>
+    LFNAV_INLINE void choose(const VirtualCamera& camera, const Surface& surface, HomographyOf) {
         const PhotoIndex& index = field_.index;
         const PenaltySettings& settings = field_.penalties;
         SurfacePoints points;
@@ -105,8 +102,41 @@ class Tiling {
     }
 
   private:
+    std::size_t across() const { return grid_.across.size() - 1; }
+
+    /// Sorts the pixels by the tiles that they are in, and sets where these begin.
+    void order_pixels(const VirtualViews& views, const Middle& middle) {
+        for (std::size_t i = 0; i < tiles_.size(); ++i) {
+            tiles_[i].left = static_cast<float>(grid_.across[i % across()] - middle.x);
+            tiles_[i].top = static_cast<float>(grid_.down[i / across()] - middle.y);
+        }
+        const auto tile_at = [](std::span<const std::int64_t> borders, std::int64_t place) {
+            const auto inner_end = borders.end() - 1;
+            const auto after = std::upper_bound(borders.begin() + 1, inner_end, place);
+            return static_cast<std::size_t>(after - borders.begin()) - 1;
+        };
+        std::vector<std::size_t> tiles(views.pixels.size());
+        pixels_.starts.resize(tiles_.size() + 1);
+        const auto width = static_cast<std::int64_t>(views.width);
+        for (std::size_t i = 0; i < tiles.size(); ++i) {
+            const std::int64_t column = views.pixels[i] % width, row = views.pixels[i] / width;
+            tiles[i] = tile_at(grid_.down, row) * across() + tile_at(grid_.across, column);
+            ++pixels_.starts[tiles[i] + 1];
+        }
+        for (std::size_t tile = 0; tile < tiles_.size(); ++tile) {
+            pixels_.starts[tile + 1] += pixels_.starts[tile];
+        }
+        std::vector<std::size_t> ends(pixels_.starts.begin(), pixels_.starts.end() - 1);
+        for (std::size_t i = 0; i < tiles.size(); ++i) {
+            const std::size_t place = ends[tiles[i]]++;
+            pixels_.x[place] = static_cast<float>(views.pixels[i] % width - middle.x);
+            pixels_.y[place] = static_cast<float>(views.pixels[i] / width - middle.y);
+            pixels_.place[place] = static_cast<std::int32_t>(i);
+        }
+    }
+
     /// Sets a tile from the photos of its corners.
-    LFNAV_INLINE void join_corners(std::size_t row, std::size_t column, Tile& tile) const {
+    LFNAV_INLINE void join_corners(std::size_t row, std::size_t column, Region& tile) const {
         const std::size_t corners = grid_.across.size();
         float at_corner[4][MOST_BLENDED + 1] = {};
         std::size_t count = 0;
@@ -144,11 +174,12 @@ class Tiling {
         }
     }
 
-    Grid grid_;
     LightField field_;
+    Grid grid_;
     std::vector<std::int32_t> all_rows_;
     std::vector<float> bounds_;
-    std::vector<Tile> tiles_;
+    std::vector<Region> tiles_;
+    RegionPixels pixels_;
     /// More photos than are ranked are narrowed down to the best at the outlook's points.
     Places outlook_, corners_;
     std::vector<float> inverse_depths_;

@@ -17,10 +17,16 @@ struct PenaltySettings {
     float resolution, border, smallest_margin, smallest;
 };
 
-/// Where points are ranked in images of one size: columns and rows of the tiles' corners, and of
-/// the points of the outlook.
+/// Limits of the Delaunay mesh, of which net.py says what they are.
+struct MeshSettings {
+    double flatness, coincident_pixels, coincident_share, smallest_area;
+};
+
+/// Where points are looked at in images of one size: columns and rows of the tiles' corners, of the
+/// points of the outlook, and of those one of which a photo of the Delaunay mesh has to show.
 struct Grid {
     std::span<const std::int64_t> across, down, outlook_across, outlook_down;
+    std::span<const std::int64_t> frustum_across, frustum_down;
 };
 
 /// How vertices with depths become a surface; proxy.py says what these are.
@@ -56,8 +62,12 @@ struct LightField {
     PenaltySettings penalties;
     /// More photos than these are narrowed down before they are ranked.
     std::size_t most_ranked;
-    /// Below this sum of weights the photos of a tile do not show a pixel.
+    /// Below this sum of weights the photos of a region do not show a pixel.
     float smallest_weight;
+    /// Whether photos are blended by the Delaunay mesh of their centres; else as an unstructured
+    /// lumigraph.
+    bool has_mesh;
+    MeshSettings mesh;
 };
 
 /// Which pixels of which virtual cameras are rendered.

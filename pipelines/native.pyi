@@ -102,6 +102,45 @@ def normal_equations(
         each tile (tiles, D + 2).
     """
 
+def delaunay_triangles(points: FloatArray, smallest_area: float) -> Int32Array:
+    """Delaunay triangulation of distinct points.
+
+    Args:
+        points: (N, 2).
+        smallest_area: a triangle flatter than this share of the square of its longest side counts
+            as a line.
+
+    Returns:
+        (t, 3) corners of the triangles, counter-clockwise where y points up; and for each edge of
+        the hull, which is on its right, two corners and -1. Empty where all points lie on a line.
+    """
+
+def delaunay_meshes(
+    poses: FloatArray,
+    intrinsics: FloatArray,
+    width: int,
+    height: int,
+    centres: FloatArray,
+    takes_part: BoolArray,
+    limits: FloatArray,
+) -> tuple[Int32Array, Float32Array, Int32Array, int]:
+    """Delaunay meshes of recording centres in virtual images; see ``net``.
+
+    Args:
+        poses: (B, 4, 4) world_from_camera.
+        intrinsics: (4,) fx, fy, cx, cy.
+        width: of the images, and
+        height: of them.
+        centres: (N, 3).
+        takes_part: (B, N) which of them are in each mesh.
+        limits: (4,) ``MESH_LIMITS``.
+
+    Returns:
+        Photos (B, R, 3) of up to R regions of each image, -1: none; their weights (B, R, 3, 4),
+        coefficients of x, y, 1 and x y from the image's middle; each pixel's region (B, H, W), -1
+        where there is no mesh; and the number of regions of the mesh that has most.
+    """
+
 class DepthSamples:
     """What is projected into virtual images of some photos' depth maps; ``LightField`` makes it."""
 
@@ -109,7 +148,7 @@ class DepthSamples:
         """How many samples these are."""
 
 class LightField:
-    """A light field, rendered as an unstructured lumigraph over a plane or depth maps.
+    """A light field, rendered over a plane or depth maps.
 
     Keeps its arrays, which are checked once; what is in them must not be changed.
 
@@ -139,6 +178,9 @@ class LightField:
         penalties: (4,) of resolution and border, the smallest margin, the smallest penalty.
         most_ranked: more photos than these are narrowed down before they are ranked.
         smallest_weight: below this sum of weights a pixel is not shown.
+        has_mesh: whether views are blended by the Delaunay mesh of their centres; else as an
+            unstructured lumigraph.
+        mesh: (4,) limits, see ``delaunay_meshes``.
     """
 
     def __init__(
@@ -168,6 +210,8 @@ class LightField:
         penalties: FloatArray,
         most_ranked: int,
         smallest_weight: float,
+        has_mesh: bool,
+        mesh: FloatArray,
     ) -> None: ...
     def depth_samples(self, is_source: BoolArray, steps: FloatArray) -> DepthSamples:
         """Takes samples of depth maps.
@@ -200,6 +244,8 @@ class LightField:
         down: IntArray,
         outlook_across: IntArray,
         outlook_down: IntArray,
+        frustum_across: IntArray,
+        frustum_down: IntArray,
         pixels: Int32Array,
         width: int,
         height: int,
@@ -216,6 +262,8 @@ class LightField:
             down: their rows.
             outlook_across: (4,) columns of the points that narrow many photos down, and
             outlook_down: (4,) their rows.
+            frustum_across: columns of the points one of which a view of a mesh has to see, and
+            frustum_down: their rows.
             pixels: (P,) indices in the image, rising.
             width: of the image, and
             height: of it.
@@ -236,6 +284,8 @@ class LightField:
         down: IntArray,
         outlook_across: IntArray,
         outlook_down: IntArray,
+        frustum_across: IntArray,
+        frustum_down: IntArray,
         pixels: Int32Array,
         width: int,
         height: int,
@@ -259,6 +309,8 @@ class LightField:
             down: their rows.
             outlook_across: (4,) columns of the points that narrow many photos down, and
             outlook_down: (4,) their rows.
+            frustum_across: columns of the points one of which a view of a mesh has to see, and
+            frustum_down: their rows.
             pixels: (P,) indices in the image, rising.
             width: of the image, and
             height: of it.

@@ -9,9 +9,16 @@ import pytest
 from pipelines import native
 from pipelines.artifacts.array_types import Float32Array, FloatArray, Int32Array
 from pipelines.geometry.camera import Intrinsics
-from pipelines.lightfield.blending import MOST_RANKED, outlook_positions, tile_borders
+from pipelines.lightfield.blending import (
+    MOST_RANKED,
+    Blending,
+    outlook_positions,
+    tile_borders,
+)
 from pipelines.lightfield.comparison import EVIDENCE_BINS, EVIDENCE_ROWS, Cost, PixelEvidence
+from pipelines.lightfield.net import MESH_LIMITS
 from pipelines.lightfield.proxy import Quality, depth_inverse_depth, source_views
+from pipelines.lightfield.reference import frustum_positions
 from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.views import with_depth as with_depths
 from tests.lightfield_samples import WALL, looking, noise_views, pinhole, tilted_wall
@@ -21,7 +28,10 @@ SIZES = [pinhole(24, 18, 20.0), pinhole(41, 29, 50.0), pinhole(1, 1, 1.0), pinho
 
 
 def light_field(
-    count: int, seed: int, quality: Quality = Quality.PLANE
+    count: int,
+    seed: int,
+    blending: Blending = Blending.UNSTRUCTURED,
+    quality: Quality = Quality.PLANE,
 ) -> tuple[Renderer, FloatArray]:
     """A renderer of so many photos of a wall, and poses that look at it or past it."""
     generator = np.random.default_rng(seed)
@@ -32,7 +42,7 @@ def light_field(
     views = noise_views(recorded, generator)
     if quality is not Quality.PLANE:
         views = with_depth(views, generator, known=0.8)
-    renderer = Renderer(views, tilted_wall(generator), quality=quality, threads=1)
+    renderer = Renderer(views, tilted_wall(generator), blending, quality, threads=1)
     poses = [
         looking(somewhere(generator, 1.0, 5.0), at_wall(generator) * [3.0, 1.0, 2.0])
         for _ in range(40)
@@ -64,14 +74,15 @@ def drawn(
     return native.draw(poses, native.surfaces(poses, camera), camera, chosen)
 
 
-@pytest.mark.parametrize("quality", [Quality.PLANE, Quality.FINE, Quality.COARSE])
+@pytest.mark.parametrize("quality", [Quality.PLANE, Quality.FINE])
 @pytest.mark.parametrize("count", [1, 12, MOST_RANKED + 30])
 @pytest.mark.parametrize("camera", SIZES, ids=lambda camera: f"{camera.width}x{camera.height}")
 @pytest.mark.parametrize("cost", Cost)
+@pytest.mark.parametrize("blending", Blending)
 def test_costs_are_those_of_compiled_python(
-    cost: Cost, camera: Intrinsics, count: int, quality: Quality
+    blending: Blending, cost: Cost, camera: Intrinsics, count: int, quality: Quality
 ) -> None:
-    renderer, poses = light_field(count, count, quality)
+    renderer, poses = light_field(count, count, blending, quality)
     table = evidence() if cost is Cost.EVIDENCE else None
     for share in (1.0, 0.3):
         query = camera_image(camera, 5, share)
@@ -86,20 +97,24 @@ def test_costs_are_those_of_compiled_python(
 
 
 @pytest.mark.parametrize("quality", [Quality.PLANE, Quality.MEDIUM])
-def test_threads_and_batches_change_nothing(quality: Quality) -> None:
-    renderer, poses = light_field(30, 7, quality)
+@pytest.mark.parametrize("blending", Blending)
+def test_threads_and_batches_change_nothing(blending: Blending, quality: Quality) -> None:
+    renderer, poses = light_field(30, 7, blending, quality)
     camera = SIZES[1]
     query = camera_image(camera, 8, 0.5)
     expected = renderer.costs(poses, camera, query, Cost.ROBUST, True)
-    several = Renderer(renderer.views, renderer.plane, quality=quality, threads=3)
+    several = Renderer(renderer.views, renderer.plane, blending, quality, threads=3)
     np.testing.assert_array_equal(several.costs(poses, camera, query, Cost.ROBUST, True), expected)
     single = [renderer.costs(pose[None], camera, query, Cost.ROBUST, True)[0] for pose in poses]
     np.testing.assert_array_equal(single, expected)
 
 
 @pytest.mark.parametrize("quality", [Quality.PLANE, Quality.FINE])
-def test_which_pixels_are_compared_does_not_change_what_they_show(quality: Quality) -> None:
-    renderer, poses = light_field(12, 9, quality)
+@pytest.mark.parametrize("blending", Blending)
+def test_which_pixels_are_compared_does_not_change_what_they_show(
+    blending: Blending, quality: Quality
+) -> None:
+    renderer, poses = light_field(12, 9, blending, quality)
     camera = SIZES[1]
     every = np.arange(camera.width * camera.height, dtype=np.int32)
     whole, depths = drawn(renderer, poses, camera, every)
@@ -110,8 +125,9 @@ def test_which_pixels_are_compared_does_not_change_what_they_show(quality: Quali
 
 
 @pytest.mark.parametrize("quality", [Quality.PLANE, Quality.FINE])
-def test_poses_that_are_no_numbers_show_nothing(quality: Quality) -> None:
-    renderer, poses = light_field(MOST_RANKED + 6, 10, quality)
+@pytest.mark.parametrize("blending", Blending)
+def test_poses_that_are_no_numbers_show_nothing(blending: Blending, quality: Quality) -> None:
+    renderer, poses = light_field(MOST_RANKED + 6, 10, blending, quality)
     for value in (np.nan, np.inf, 1e300):
         images, inverse_depths = drawn(
             renderer, np.full_like(poses, value), SIZES[0], np.arange(9, dtype=np.int32)
@@ -121,17 +137,18 @@ def test_poses_that_are_no_numbers_show_nothing(quality: Quality) -> None:
         assert quality is Quality.PLANE or not inverse_depths.any()
 
 
+@pytest.mark.parametrize("blending", Blending)
 @pytest.mark.parametrize("value", [0.0, np.nan, np.inf, -1.0, 1e-44, 1e38])
-def test_depths_that_are_no_distances_lead_nowhere(value: float) -> None:
+def test_depths_that_are_no_distances_lead_nowhere(value: float, blending: Blending) -> None:
     """Whatever depth maps hold, pixels are colours or nothing, and all other depths still count."""
-    renderer, poses = light_field(9, 13, Quality.FINE)
+    renderer, poses = light_field(9, 13, quality=Quality.FINE)
     views = renderer.views
     generator = np.random.default_rng(14)
     for share in (0.2, 1.0):
         depths = [views.depth_map(view).copy() for view in range(len(views))]
         for depth in depths:
             depth[generator.uniform(size=depth.shape) < share] = value
-        strange = Renderer(with_depths(views, depths), WALL, quality=Quality.FINE, threads=1)
+        strange = Renderer(with_depths(views, depths), WALL, blending, Quality.FINE, threads=1)
         every = np.arange(SIZES[1].width * SIZES[1].height, dtype=np.int32)
         images, _ = drawn(strange, poses, SIZES[1], every)
         assert np.isfinite(images).all()
@@ -143,7 +160,7 @@ def test_depths_that_are_no_distances_lead_nowhere(value: float) -> None:
 
 def test_a_camera_amid_the_depth_maps_sees_the_surface_of_the_readable_version() -> None:
     """Narrow views of parts of what depth maps show, some from before it and from behind."""
-    renderer, _ = light_field(9, 15, Quality.FINE)
+    renderer, _ = light_field(9, 15, quality=Quality.FINE)
     generator, camera = np.random.default_rng(16), pinhole(90, 70, 260.0)
     covered = 0.0
     for number in range(30):
@@ -165,7 +182,7 @@ def test_a_camera_amid_the_depth_maps_sees_the_surface_of_the_readable_version()
 
 
 def scene_arguments() -> dict[str, Any]:
-    renderer, _ = light_field(5, 11, Quality.FINE)
+    renderer, _ = light_field(5, 11, quality=Quality.FINE)
     views, index = renderer._field.views, renderer._field.view_index
     names = ("texels", "level_start", "level_size", "projection", "rays", "centres", "focal")
     depths = ("inverse_depth", "depth_start", "depth_size")
@@ -181,6 +198,8 @@ def scene_arguments() -> dict[str, Any]:
         "penalties": np.array([0.05, 0.03, 1e-6, 1e-4]),
         "most_ranked": 64,
         "smallest_weight": 1e-6,
+        "has_mesh": True,
+        "mesh": MESH_LIMITS,
     }
 
 
@@ -219,6 +238,7 @@ SCENES: list[tuple[str, Callable[[Any], object]]] = [
     ("penalties", lambda a: a[:3]),
     ("most_ranked", lambda a: 0),
     ("smallest_weight", lambda a: -1.0),
+    ("mesh", lambda a: a[:3]),
 ]
 
 
@@ -244,6 +264,8 @@ def comparison_arguments() -> dict[str, Any]:
         "down": tile_borders(camera.height),
         "outlook_across": outlook_positions(camera.width),
         "outlook_down": outlook_positions(camera.height),
+        "frustum_across": frustum_positions(camera.width),
+        "frustum_down": frustum_positions(camera.height),
         "pixels": np.arange(7, dtype=np.int32),
         "width": camera.width,
         "height": camera.height,
@@ -270,6 +292,8 @@ COMPARISONS: list[tuple[str, Callable[[Any], object]]] = [
     ("down", lambda a: a[:1]),
     ("outlook_across", lambda a: a + 1),
     ("outlook_down", lambda a: a[:3]),
+    ("frustum_across", lambda a: a + 1),
+    ("frustum_down", lambda a: -a),
     ("pixels", lambda a: a + 24 * 18 - 6),
     ("pixels", lambda a: a - 1),
     ("width", lambda a: 0),
@@ -305,7 +329,7 @@ def test_a_wrong_argument_of_a_comparison_is_named(
 
 def test_samples_of_another_light_field_are_refused() -> None:
     scene = native.LightField(**scene_arguments())
-    renderer, poses = light_field(4, 17, Quality.FINE)
+    renderer, poses = light_field(4, 17, quality=Quality.FINE)
     assert renderer._native is not None
     samples = renderer._native.surfaces(poses, SIZES[0]).samples
     with pytest.raises(ValueError, match=r"^samples: those of this light field expected$"):
@@ -353,7 +377,7 @@ def test_a_wrong_argument_of_choosing_sources_is_named(name: str, wrong: object)
 
 
 def test_sources_are_those_of_the_readable_version() -> None:
-    renderer, poses = light_field(30, 18, Quality.FINE)
+    renderer, poses = light_field(30, 18, quality=Quality.FINE)
     assert renderer._native is not None
     sources = renderer._native.surfaces(poses, SIZES[0]).sources
     for pose, found in zip(poses, sources, strict=True):

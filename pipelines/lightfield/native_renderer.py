@@ -1,4 +1,4 @@
-"""The renderer's path through the C++ core: views blended as unstructured lumigraph."""
+"""The renderer's path through the C++ core: surfaces and blending of all kinds."""
 
 from dataclasses import dataclass, replace
 
@@ -20,6 +20,7 @@ from pipelines.lightfield.blending import (
     RESOLUTION_PENALTY,
     SMALLEST_MARGIN,
     SMALLEST_PENALTY,
+    Blending,
     outlook_positions,
     tile_borders,
 )
@@ -35,6 +36,7 @@ from pipelines.lightfield.comparison import (
     UNCOVERED_ZNCC,
     Cost,
 )
+from pipelines.lightfield.net import MESH_LIMITS
 from pipelines.lightfield.proxy import (
     EDGE_FACTOR,
     LARGEST_GAP_SHARE,
@@ -47,7 +49,7 @@ from pipelines.lightfield.proxy import (
     cell_size,
     sample_steps,
 )
-from pipelines.lightfield.reference import SMALLEST_WEIGHT
+from pipelines.lightfield.reference import SMALLEST_WEIGHT, frustum_positions
 from pipelines.lightfield.sample_store import SampleStore
 from pipelines.lightfield.view_index import ViewIndex
 from pipelines.lightfield.views import Views
@@ -83,6 +85,7 @@ class NativeRenderer:
         index: of those that may take part.
         usable: ``(N,)`` which these are.
         plane: the surface where ``quality`` is ``PLANE``.
+        blending: the rule that chooses and weights the views.
         quality: how finely the surface follows the views' depth maps.
         usual_inverse_depth: of the depth maps, see ``proxy.usual_inverse_depth``.
     """
@@ -93,6 +96,7 @@ class NativeRenderer:
         index: ViewIndex,
         usable: BoolArray,
         plane: Plane,
+        blending: Blending,
         quality: Quality,
         usual_inverse_depth: float,
     ) -> None:
@@ -134,6 +138,8 @@ class NativeRenderer:
             ),
             most_ranked=MOST_RANKED,
             smallest_weight=SMALLEST_WEIGHT,
+            has_mesh=blending is Blending.DELAUNAY,
+            mesh=MESH_LIMITS,
         )
         self._samples = SampleStore(self._sample)
 
@@ -227,11 +233,16 @@ class NativeRenderer:
         )
 
 
-def _grid(intrinsics: Intrinsics) -> tuple[IntArray, IntArray, IntArray, IntArray]:
-    """Columns and rows of the tiles' corners, and of the points of the outlook."""
+def _grid(
+    intrinsics: Intrinsics,
+) -> tuple[IntArray, IntArray, IntArray, IntArray, IntArray, IntArray]:
+    """Columns and rows: of the tiles' corners, of points of the outlook and of the frustum."""
+    width, height = intrinsics.width, intrinsics.height
     return (
-        tile_borders(intrinsics.width),
-        tile_borders(intrinsics.height),
-        outlook_positions(intrinsics.width),
-        outlook_positions(intrinsics.height),
+        tile_borders(width),
+        tile_borders(height),
+        outlook_positions(width),
+        outlook_positions(height),
+        frustum_positions(width),
+        frustum_positions(height),
     )

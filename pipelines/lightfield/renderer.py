@@ -35,9 +35,8 @@ from pipelines.lightfield.proxy import SOURCE_VIEWS, Quality, cell_size
 from pipelines.lightfield.proxy import usual_inverse_depth as median_inverse_depth
 from pipelines.lightfield.proxy_kernels import choose_sources, depth_surfaces, plane_surfaces
 from pipelines.lightfield.reference import frustum_positions
-from pipelines.lightfield.sample_store import SampleStore
 from pipelines.lightfield.scene import Scene
-from pipelines.lightfield.splat_kernels import DepthSamples, depth_samples
+from pipelines.lightfield.splat_kernels import depth_samples
 from pipelines.lightfield.surface_room import surface_room_for
 from pipelines.lightfield.view_index import build_index
 from pipelines.lightfield.views import Views, views_of_scene, without_depth, without_view
@@ -151,12 +150,11 @@ class Renderer:
             has_depth=quality is not Quality.PLANE,
             is_net=blending is Blending.DELAUNAY,
         )
-        self._samples = SampleStore(self._sample)
         self._spaces = Workspaces(self._field)
-        self._native: NativeRenderer | None = None
-        if blending is Blending.UNSTRUCTURED:
-            index, usual = self._field.view_index, self._usual_inverse_depth
-            self._native = NativeRenderer(self.views, index, usable, plane, quality, usual)
+        index, usual = self._field.view_index, self._usual_inverse_depth
+        self._native: NativeRenderer | None = NativeRenderer(
+            self.views, index, usable, plane, blending, quality, usual
+        )
 
     @classmethod
     def of_scene(
@@ -361,7 +359,8 @@ class Renderer:
         sources = np.empty((len(poses), SOURCE_VIEWS), dtype=np.int64)
         is_source = np.empty(len(self.views), dtype=np.bool_)
         choose_sources(arrays, usual, poses, np.empty(SOURCE_VIEWS), sources, is_source)
-        samples = self._samples(is_source, 0.5 * (intrinsics.fx + intrinsics.fy), spacing)
+        focal = 0.5 * (intrinsics.fx + intrinsics.fy)
+        samples = depth_samples(arrays, is_source, focal, spacing)
         wanted = _surface_pixels(intrinsics, chosen)
 
         def of_depths(part: slice) -> Float32Array:
@@ -372,13 +371,6 @@ class Renderer:
             return surfaces
 
         return of_depths
-
-    def _sample(
-        self, is_source: BoolArray, focal: float, spacing: float
-    ) -> tuple[DepthSamples, int]:
-        """Samples of some views' depth maps, and their number; see ``SampleStore``."""
-        samples = depth_samples(self.views.arrays, is_source, focal, spacing)
-        return samples, len(samples.values) // 3
 
     def _render(
         self,
