@@ -11,12 +11,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from benchmarks.work import Work, homographies, net_weights
 from pipelines.artifacts.array_types import Float32Array, ImageArray, Int32Array
-from pipelines.lightfield.compiled import EXACT
-from pipelines.lightfield.texel_intrinsic import CHANNELS, add_texels
+from pipelines.native import added_samples
 
 SAMPLES_PER_PIXEL = 3
 
@@ -72,47 +70,12 @@ def limit_work(work: Work) -> LimitWork:
 
 def limit_image(work: LimitWork, times: int) -> Float32Array:
     """The view ``(P, 4)``: colours, and 255; computed so many times."""
-    image = np.empty((len(work.upper) // SAMPLES_PER_PIXEL, CHANNELS), dtype=np.float32)
-    _add_all(
+    return added_samples(
         work.texels,
         work.upper,
         work.lower,
         work.fraction,
         work.upper_weight,
         work.lower_weight,
-        image,
         times,
     )
-    return image
-
-
-def _add_samples(
-    texels: ImageArray,
-    upper: Int32Array,
-    lower: Int32Array,
-    fraction: Float32Array,
-    upper_weight: Float32Array,
-    lower_weight: Float32Array,
-    image: Float32Array,
-    times: int,
-) -> None:
-    for _ in range(times):
-        image[:] = 0.0
-        for pixel in range(len(image)):
-            for view in range(SAMPLES_PER_PIXEL):
-                # Unsigned, so that the compiler need not count from the end, too.
-                i = np.uintp(SAMPLES_PER_PIXEL * pixel + view)
-                add_texels(
-                    texels,
-                    upper[i],
-                    lower[i],
-                    fraction[i],
-                    upper_weight[i],
-                    lower_weight[i],
-                    image,
-                    pixel,
-                )
-
-
-_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": EXACT, "_nrt": False}
-_add_all: Any = njit(**_OPTIONS)(_add_samples)

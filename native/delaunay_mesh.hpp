@@ -246,11 +246,12 @@ class DelaunayMesh {
                 const auto above = std::partition_point(
                     keys_.begin(), keys_.end(), [&](const Key& key) { return key.value <= place; });
                 const auto interval = static_cast<std::size_t>(above - keys_.begin());
+                // Where the line gets to the next of them in the direction of the row.
+                const bool is_rising = direction.x > 0.0;
+                const std::size_t next = is_rising ? interval : interval - 1;
                 std::size_t end = width_;
-                if (direction.x > 0.0 && interval < count) {
-                    end = column_from((keys_[interval].value - start) / direction.x);
-                } else if (direction.x < 0.0 && interval > 0) {
-                    end = column_from((keys_[interval - 1].value - start) / direction.x) + 1;
+                if (direction.x != 0.0 && next < count) {
+                    end = column_from((keys_[next].value - start) / direction.x);
                 }
                 end = std::min(std::max(end, x + 1), width_);
                 std::int32_t& region = region_of_[interval];

@@ -40,24 +40,29 @@ struct PixelBox {
     bool is_empty() const { return x[0] > x[1]; }
 };
 
-/// Whether a photo may show a point of a box.
+/// Whether a photo may show a point of a box: whether there is one before the photo's camera, and
+/// one on the inner side of each border of its image.
 inline bool may_show(const Photos& photos, std::size_t photo, const Homography& homography,
                      const PixelBox& box) {
     const std::int64_t* const size = photos.size_of(photo);
+    const auto& map = homography.map;
+    const auto& shift = homography.shift;
+    // How far at most points are on the inner side, for distances that are linear in places in the
+    // photo: those to borders are sign times row i of the homography plus margin times the depth.
+    const auto largest = [&](std::size_t i, double sign, double margin) {
+        const auto most = [](double factor, const double* range) {
+            return std::max(factor * range[0], factor * range[1]);
+        };
+        return most(sign * map[3 * i] + margin * map[6], box.x) +
+               most(sign * map[3 * i + 1] + margin * map[7], box.y) +
+               (sign * map[3 * i + 2] + margin * map[8]) +
+               most(sign * shift[i] + margin * shift[2], box.d);
+    };
     const double right = static_cast<double>(size[0]) - 0.5;
     const double bottom = static_cast<double>(size[1]) - 0.5;
-    int behind = 0, left_of = 0, right_of = 0, above = 0, below = 0;
-    for (std::size_t corner = 0; corner < 8; ++corner) {
-        const double x = box.x[corner % 2], y = box.y[corner / 2 % 2], d = box.d[corner / 4];
-        const double u = homography.row(0, x, y, d), v = homography.row(1, x, y, d);
-        const double w = homography.row(2, x, y, d);
-        behind += w <= 0.0 ? 1 : 0;
-        left_of += u < -0.5 * w ? 1 : 0;
-        right_of += u > right * w ? 1 : 0;
-        above += v < -0.5 * w ? 1 : 0;
-        below += v > bottom * w ? 1 : 0;
-    }
-    return std::max({behind, left_of, right_of, above, below}) < 8;
+    return largest(2, 1.0, 0.0) > 0.0 && largest(0, 1.0, 0.5) >= 0.0 &&
+           largest(0, -1.0, right) >= 0.0 && largest(1, 1.0, 0.5) >= 0.0 &&
+           largest(1, -1.0, bottom) >= 0.0;
 }
 
 /// Finds the photos for pixels; memory of it is used again.

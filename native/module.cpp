@@ -8,6 +8,7 @@
 #include "delaunay_binding.hpp"
 #include "instruction_set.hpp"
 #include "renderer_binding.hpp"
+#include "sampling_limit_binding.hpp"
 
 NB_MODULE(native, module) {
     module.doc() = "The C++ core: what is done for every pixel of every particle.";
@@ -20,4 +21,5 @@ NB_MODULE(native, module) {
     lfnav::bind_brightness(module);
     lfnav::bind_delaunay(module);
     lfnav::bind_renderer(module);
+    lfnav::bind_sampling_limit(module);
 }

@@ -21,17 +21,6 @@ constexpr std::ptrdiff_t ANY = ArrayArgument<Element>::ANY;
 
 std::ptrdiff_t signed_size(std::size_t size) { return static_cast<std::ptrdiff_t>(size); }
 
-void check_range(std::span<const std::int32_t> values, std::int64_t least, std::int64_t end,
-                 const char* name) {
-    for (const std::int32_t value : values) {
-        if (value < least || value >= end) {
-            refuse_value(name, "numbers from " + std::to_string(least) + " to " +
-                                   std::to_string(end - 1) + " expected, got " +
-                                   std::to_string(value));
-        }
-    }
-}
-
 /// Columns, or rows, of an image, none of which goes back.
 void check_places(std::span<const std::int64_t> places, std::size_t length, const char* name) {
     std::int64_t before = 0;

@@ -125,6 +125,13 @@ LFNAV_INLINE TexelPair two_texels(const std::uint8_t* from) {
 #endif
 }
 
+/// Bilinear: between the left and the right one of two texels.
+LFNAV_INLINE Texel between(const TexelPair& texels, float fraction) {
+    const Texel left = __builtin_shufflevector(texels, texels, 0, 1, 2, 3);
+    const Texel right = __builtin_shufflevector(texels, texels, 4, 5, 6, 7);
+    return left + (right - left) * fraction;
+}
+
 /// Adds a chunk's weighted colours to its pixels.
 ///
 /// @param texels: of the level.
@@ -135,12 +142,10 @@ LFNAV_INLINE void add_samples(const PixelChunk& chunk, std::size_t count,
         const std::uint8_t* const upper = texels + 4 * static_cast<std::size_t>(chunk.texel[i]);
         const TexelPair column =
             two_texels(upper) * chunk.upper[i] + two_texels(upper + 4 * width) * chunk.lower[i];
-        const Texel left = __builtin_shufflevector(column, column, 0, 1, 2, 3);
-        const Texel right = __builtin_shufflevector(column, column, 4, 5, 6, 7);
         float* const sums = image + 4 * static_cast<std::size_t>(chunk.pixel[i]);
         Texel total;
         std::memcpy(&total, sums, sizeof total);
-        total = total + left + (right - left) * chunk.fraction[i];
+        total = total + between(column, chunk.fraction[i]);
         std::memcpy(sums, &total, sizeof total);
     }
 }

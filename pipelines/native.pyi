@@ -141,6 +141,30 @@ def delaunay_meshes(
         where there is no mesh; and the number of regions of the mesh that has most.
     """
 
+def added_samples(
+    texels: ImageArray,
+    upper: Int32Array,
+    lower: Int32Array,
+    fraction: Float32Array,
+    upper_weight: Float32Array,
+    lower_weight: Float32Array,
+    times: int,
+) -> Float32Array:
+    """Weighted sums of three bilinear samples a pixel, whose places are given; for measurements.
+
+    Args:
+        texels: (T, 4) of all photos.
+        upper: (3 P,) index of each sample's upper left texel, those of a pixel one after the other.
+        lower: (3 P,) that of the lower left one.
+        fraction: (3 P,) how far it is to the right of these.
+        upper_weight: (3 P,) of the upper texels, and
+        lower_weight: (3 P,) of the lower ones.
+        times: how often it is done.
+
+    Returns:
+        (P, 4).
+    """
+
 class DepthSamples:
     """What is projected into virtual images of some photos' depth maps; ``LightField`` makes it."""
 
