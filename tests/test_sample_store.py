@@ -100,6 +100,7 @@ def test_no_more_is_kept_than_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
         for some in ((1,), (3, 4, 5))
     )
     monkeypatch.setattr(sample_store, "MOST_SAMPLES", int(1.5 * one))
+    monkeypatch.setattr(sample_store, "DEPTHS_A_SAMPLE", 1000)
     kept = store()
     first = kept(marked(1), FOCAL, 0.1)
     assert one > 0.7 * views.depth_size[1].prod()

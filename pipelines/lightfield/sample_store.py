@@ -8,8 +8,9 @@ from pipelines.artifacts.array_types import BoolArray, FloatArray
 from pipelines.lightfield.proxy import PIXEL_PARTS, sample_steps
 from pipelines.lightfield.views import ViewArrays
 
-# So many samples are kept at most, of twelve bytes each.
-MOST_SAMPLES = 1 << 22
+# So many samples are kept at most, of twelve bytes each; of large light fields one for so many
+# depths, which take four bytes each.
+MOST_SAMPLES, DEPTHS_A_SAMPLE = 1 << 22, 8
 
 Samples = TypeVar("Samples")
 
@@ -37,6 +38,7 @@ class SampleStore(Generic[Samples]):
 
     def __init__(self, views: ViewArrays, take: Callable[[BoolArray, FloatArray], Samples]) -> None:
         self._views, self._take = views, take
+        self._most = max(MOST_SAMPLES, len(views.inverse_depth) // DEPTHS_A_SAMPLE)
         self._kept: dict[tuple[float, float], _Kept[Samples]] = {}
 
     def __call__(self, is_source: BoolArray, focal: float, spacing: float) -> Samples:
@@ -54,7 +56,7 @@ class SampleStore(Generic[Samples]):
         steps = sample_steps(self._views, focal, spacing)
         counts = (-(-PIXEL_PARTS * self._views.depth_size // steps[:, None])).prod(axis=1)
         wanted = is_source if kept is None else is_source | kept.is_source
-        if counts[wanted].sum() > MOST_SAMPLES:
+        if counts[wanted].sum() > self._most:
             wanted = is_source
         found = self._take(wanted, steps / PIXEL_PARTS)
         self._keep(kind, _Kept(wanted, found, int(counts[wanted].sum())))
@@ -62,9 +64,9 @@ class SampleStore(Generic[Samples]):
 
     def _keep(self, kind: tuple[float, float], found: _Kept[Samples]) -> None:
         """Keeps samples, and of older ones the latest that fit in beside them."""
-        if found.count > MOST_SAMPLES:
+        if found.count > self._most:
             return
-        kept, room = {kind: found}, MOST_SAMPLES - found.count
+        kept, room = {kind: found}, self._most - found.count
         for other, older in reversed(self._kept.items()):
             if other != kind and older.count <= room:
                 kept[other] = older
