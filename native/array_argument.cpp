@@ -189,8 +189,8 @@ NewArray<Element>::NewArray(std::initializer_list<std::size_t> shape) {
     values = {data, size};
 }
 
+template struct NewArray<std::int32_t>;
 template struct NewArray<float>;
 template struct NewArray<double>;
-template struct NewArray<std::int32_t>;
 
 }  // namespace lfnav

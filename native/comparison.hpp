@@ -10,8 +10,8 @@
 
 #include "image.hpp"
 #include "level.hpp"
-#include "plane_views.hpp"
 #include "simd.hpp"
+#include "virtual_views.hpp"
 
 namespace lfnav::LFNAV_LEVEL {
 
@@ -50,7 +50,7 @@ LFNAV_INLINE double fitted_gain(const float* image, const float* query, std::siz
         Vector products[2] = {}, squares[2] = {};
         const auto add = [&](const Vector& a, const Vector& b,
                              std::size_t sum) __attribute__((always_inline)) {
-            const Vector zero = {}, used = fourth_channels(a * b);
+            const Vector zero = {}, used = spread<3>(a * b);
             const Vector weighted = absolute(a - b) < zero + limit ? used * a : zero;
             products[sum] += weighted * b;
             squares[sum] += weighted * a;
@@ -78,8 +78,8 @@ LFNAV_INLINE double difference_cost(const float* image, const float* query, std:
             const Vector zero = {}, both = a * b, error = gain * a - b;
             own_covered[sum] += both;
             own_compared[sum] += b;
-            own[sum] += fourth_channels(both) *
-                        (ROBUST ? smaller(absolute(error), zero + limit) : error * error);
+            own[sum] +=
+                spread<3>(both) * (ROBUST ? smaller(absolute(error), zero + limit) : error * error);
         };
         for_pixels(image + 4 * first, query + 4 * first, std::min(BLOCK, count - first), add);
         differences.add(own[0] + own[1]);

@@ -5,7 +5,7 @@
 #include <nanobind/nanobind.h>
 
 #include "array_argument.hpp"
-#include "plane_views.hpp"
+#include "virtual_views.hpp"
 
 namespace lfnav {
 

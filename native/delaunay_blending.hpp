@@ -11,24 +11,27 @@
 #include "homography.hpp"
 #include "level.hpp"
 #include "light_field.hpp"
-#include "plane_views.hpp"
 #include "regions.hpp"
+#include "surface.hpp"
+#include "virtual_views.hpp"
 
 namespace lfnav::LFNAV_LEVEL {
 
 class DelaunayBlending {
   public:
-    DelaunayBlending(const PlaneScene& scene, const VirtualViews& views, const Middle& middle)
-        : photos_(scene.photos),
-          takes_part_(std::make_unique<bool[]>(scene.photos.count)),
-          mesh_(scene.mesh, views.width, views.height, views.pixels, middle) {
-        for (const std::int64_t y : views.grid.frustum_down) {
-            for (const std::int64_t x : views.grid.frustum_across) {
-                columns_.push_back(static_cast<double>(x));
-                rows_.push_back(static_cast<double>(y));
-            }
+    DelaunayBlending(const LightField& field, const VirtualViews& views, const Middle& middle,
+                     const Surface& surface)
+        : photos_(field.photos),
+          takes_part_(std::make_unique<bool[]>(field.photos.count)),
+          frustum_(views.grid.frustum_across.size() * views.grid.frustum_down.size()),
+          inverse_depths_(frustum_.count()),
+          mesh_(field.mesh, views.width, views.height, views.pixels, middle) {
+        const std::span<const std::int64_t> across = views.grid.frustum_across;
+        for (std::size_t i = 0; i < frustum_.count(); ++i) {
+            frustum_.x[i] = static_cast<float>(across[i % across.size()]);
+            frustum_.y[i] = static_cast<float>(views.grid.frustum_down[i / across.size()]);
         }
-        depths_.resize(columns_.size());
+        surface.prepare(frustum_);
     }
 
     std::span<const Region> regions() const { return mesh_.regions(); }
@@ -38,12 +41,12 @@ class DelaunayBlending {
 
     /// Makes the mesh for a virtual camera.
     ///
+    /// @param surface: as it sees it.
     /// @param homography: makes that of a photo, or has it.
     template <typename HomographyOf>
-    LFNAV_INLINE void choose(const VirtualCamera& camera, HomographyOf homography) {
-        for (std::size_t i = 0; i < depths_.size(); ++i) {
-            depths_[i] = static_cast<double>(camera.inverse_depth(columns_[i], rows_[i]));
-        }
+    LFNAV_INLINE void choose(const VirtualCamera& camera, const Surface& surface,
+                             HomographyOf homography) {
+        surface.set_inverse_depths(frustum_, inverse_depths_.data());
         for (std::size_t photo = 0; photo < photos_.count; ++photo) {
             takes_part_[photo] = photos_.usable[photo] && sees_any(photo, homography(photo));
         }
@@ -53,7 +56,7 @@ class DelaunayBlending {
   private:
     /// Whether a photo sees any of the surface points that stand for the virtual frustum.
     LFNAV_INLINE bool sees_any(std::size_t photo, const Homography& homography) const {
-        const std::int64_t* const size = photos_.level_size + 2 * photos_.levels * photo;
+        const std::int64_t* const size = photos_.size_of(photo);
         const double right = static_cast<double>(size[0]) - 0.5;
         const double bottom = static_cast<double>(size[1]) - 0.5;
         const auto& map = homography.map;
@@ -62,8 +65,10 @@ class DelaunayBlending {
         const double w0 = map[6], w1 = map[7], w2 = map[8], w3 = homography.shift[2];
         std::int32_t seen = 0;
 #pragma omp simd reduction(+ : seen)
-        for (std::size_t i = 0; i < depths_.size(); ++i) {
-            const double x = columns_[i], y = rows_[i], d = depths_[i];
+        for (std::size_t i = 0; i < inverse_depths_.size(); ++i) {
+            const auto x = static_cast<double>(frustum_.x[i]);
+            const auto y = static_cast<double>(frustum_.y[i]);
+            const auto d = static_cast<double>(inverse_depths_[i]);
             const double u = u0 * x + u1 * y + u2 + u3 * d, v = v0 * x + v1 * y + v2 + v3 * d;
             const double w = w0 * x + w1 * y + w2 + w3 * d;
             const bool is_seen = (d > 0.0) & (w > 0.0) & (u >= -0.5 * w) & (u <= right * w) &
@@ -75,8 +80,9 @@ class DelaunayBlending {
 
     Photos photos_;
     std::unique_ptr<bool[]> takes_part_;
-    /// Surface points: columns, rows and inverse depths.
-    std::vector<double> columns_, rows_, depths_;
+    /// The surface points one of which a photo has to see.
+    Places frustum_;
+    std::vector<float> inverse_depths_;
     DelaunayMesh mesh_;
 };
 

@@ -20,8 +20,8 @@
 #include "delaunay.hpp"
 #include "homography.hpp"
 #include "level.hpp"
-#include "plane_views.hpp"
 #include "regions.hpp"
+#include "virtual_views.hpp"
 
 namespace lfnav::LFNAV_LEVEL {
 

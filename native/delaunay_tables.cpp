@@ -13,7 +13,6 @@ namespace lfnav::LFNAV_LEVEL {
 std::size_t set_mesh_tables(const MeshedViews& views, const MeshSettings& settings,
                             const MeshTables& tables) {
     constexpr std::size_t PHOTOS = 3;
-    constexpr double NO_PLANE[4] = {};
     const std::size_t pixel_count = views.width * views.height;
     std::vector<std::int32_t> pixels(pixel_count);
     std::iota(pixels.begin(), pixels.end(), 0);
@@ -24,7 +23,7 @@ std::size_t set_mesh_tables(const MeshedViews& views, const MeshSettings& settin
     std::fill_n(tables.regions, pixel_count * views.count, -1);
     std::size_t largest = 0;
     for (std::size_t number = 0; number < views.count; ++number) {
-        const VirtualCamera camera(views.poses + 16 * number, views.intrinsics, NO_PLANE);
+        const VirtualCamera camera(views.poses + 16 * number, views.intrinsics);
         mesh.build(camera, views.centres, views.takes_part + views.photos * number, views.photos);
         const std::span<const Region> regions = mesh.regions();
         const std::size_t count = std::min(regions.size(), tables.most);

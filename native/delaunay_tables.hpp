@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "instruction_set.hpp"
-#include "plane_views.hpp"
+#include "virtual_views.hpp"
 
 namespace lfnav {
 

@@ -7,7 +7,7 @@
 #include "brightness_binding.hpp"
 #include "delaunay_binding.hpp"
 #include "instruction_set.hpp"
-#include "plane_renderer_binding.hpp"
+#include "renderer_binding.hpp"
 #include "sampling_limit_binding.hpp"
 
 NB_MODULE(native, module) {
@@ -20,6 +20,6 @@ NB_MODULE(native, module) {
     lfnav::bind_alignment(module);
     lfnav::bind_brightness(module);
     lfnav::bind_delaunay(module);
-    lfnav::bind_plane_renderer(module);
+    lfnav::bind_renderer(module);
     lfnav::bind_sampling_limit(module);
 }

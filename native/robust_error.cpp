@@ -22,7 +22,7 @@ struct Pixels {
 
     /// What pixels cost, relative to the largest loss; in the fourth channel it means nothing.
     LFNAV_INLINE static Vector losses(Vector view, Vector target, const ScaledPhotometry& scaled) {
-        const Vector compared = fourth_channels(target), seen = compared * fourth_channels(view);
+        const Vector compared = spread<3>(target), seen = compared * spread<3>(view);
         const Vector error = scaled.gain * view + scaled.offset - scaled.scale * target;
         const Vector rest = 1.0F - error * error, zero = {};
         const Vector inside = rest > zero ? rest : zero;

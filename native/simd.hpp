@@ -2,6 +2,10 @@
 
 #pragma once
 
+#ifdef __AVX2__
+#include <immintrin.h>
+#endif
+
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
@@ -11,6 +15,9 @@
 #include "level.hpp"
 
 namespace lfnav::LFNAV_LEVEL {
+
+/// Pixels that plain loops work on together; arrays are as much longer as that takes.
+constexpr std::size_t TOGETHER = 16;
 
 using FloatVector = float __attribute__((vector_size(BYTES)));
 using DoubleVector = double __attribute__((vector_size(BYTES)));
@@ -36,15 +43,16 @@ LFNAV_INLINE FloatVector loaded(const float* from, std::size_t count) {
     return result;
 }
 
-/// Of pixels of four channels the fourth in all of them.
-LFNAV_INLINE FloatVector fourth_channels(const FloatVector& pixels) {
+/// Of pixels of four channels one channel in all of them.
+template <std::int32_t CHANNEL>
+LFNAV_INLINE FloatVector spread(const FloatVector& pixels) {
+    constexpr std::int32_t A = CHANNEL, B = A + 4, C = A + 8, D = A + 12;
 #if defined(__AVX512F__)
-    return __builtin_shufflevector(pixels, pixels, 3, 3, 3, 3, 7, 7, 7, 7, 11, 11, 11, 11, 15, 15,
-                                   15, 15);
+    return __builtin_shufflevector(pixels, pixels, A, A, A, A, B, B, B, B, C, C, C, C, D, D, D, D);
 #elif defined(__AVX2__)
-    return __builtin_shufflevector(pixels, pixels, 3, 3, 3, 3, 7, 7, 7, 7);
+    return __builtin_shufflevector(pixels, pixels, A, A, A, A, B, B, B, B);
 #else
-    return __builtin_shufflevector(pixels, pixels, 3, 3, 3, 3);
+    return __builtin_shufflevector(pixels, pixels, A, A, A, A);
 #endif
 }
 
@@ -59,6 +67,23 @@ struct ChannelSums {
         }
     }
 };
+
+/// Numbers at indices of an array. GCC 12 makes of a loop one read after the other.
+LFNAV_INLINE FloatVector gathered(const float* numbers, const IntegerVector& indices) {
+#if defined(__AVX512F__)
+    // Without a mask GCC 12 warns of its own header.
+    return FloatVector(_mm512_mask_i32gather_ps(_mm512_setzero_ps(), __mmask16(0xffff),
+                                                __m512i(indices), numbers, sizeof(float)));
+#elif defined(__AVX2__)
+    return FloatVector(_mm256_i32gather_ps(numbers, __m256i(indices), sizeof(float)));
+#else
+    FloatVector result = {};
+    for (std::size_t i = 0; i < BYTES / sizeof(float); ++i) {
+        result[i] = numbers[indices[i]];
+    }
+    return result;
+#endif
+}
 
 template <typename Vector>
 LFNAV_INLINE Vector square_root(const Vector& vector) {
@@ -80,6 +105,17 @@ LFNAV_INLINE Vector smaller(const Vector& a, const Vector& b) {
 template <typename Vector>
 LFNAV_INLINE Vector larger(const Vector& a, const Vector& b) {
     return a > b ? a : b;
+}
+
+/// Whether a comparison of vectors holds anywhere.
+template <typename Mask>
+LFNAV_INLINE bool any_of(const Mask& mask) {
+    std::uint64_t words[sizeof(Mask) / sizeof(std::uint64_t)], together = 0;
+    std::memcpy(words, &mask, sizeof mask);
+    for (const std::uint64_t word : words) {
+        together |= word;
+    }
+    return together != 0;
 }
 
 }  // namespace lfnav::LFNAV_LEVEL

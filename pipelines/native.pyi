@@ -165,19 +165,30 @@ def added_samples(
         (P, 4).
     """
 
-class PlaneScene:
-    """A light field whose surface is a plane.
+class DepthSamples:
+    """What is projected into virtual images of some photos' depth maps; ``LightField`` makes it."""
+
+    def count(self) -> int:
+        """How many samples these are."""
+
+class LightField:
+    """A light field, rendered over a plane or depth maps.
 
     Keeps its arrays, which are checked once; what is in them must not be changed.
 
     Args:
-        texels: (T, 4) of the photos' pyramids, see ``ViewArrays``, as level_start, level_size,
-            projection, centres and focal.
+        texels: (T, 4) of the photos' pyramids, see ``ViewArrays``, as all up to depth_size.
         level_start: (N, L).
         level_size: (N, L, 2).
         projection: (N, 3, 4).
+        rays: (N, 3, 3).
         centres: (N, 3).
         focal: (N,).
+        inverse_depth: (D,).
+        depth_start: (N,).
+        depth_size: (N, 2).
+        pooled_depth: (B,) the largest inverse depths in squares, see ``ViewArrays.blocks``.
+        pooled_start: (N,) where each photo's begin.
         usable: (N,) which photos may take part.
         origin: (3,) of the index of these, see ``ViewIndex``, as all up to groups.
         order: (S,).
@@ -186,6 +197,8 @@ class PlaneScene:
         blocks: (18 * 16 G,).
         groups: (20 G,).
         plane: (4,) unit normal and offset.
+        depth_settings: (5,) pinhole factor, pinhole neighbours, edge factor, largest gap as a share
+            of the image, see ``proxy``; occlusion factor.
         penalties: (4,) of resolution and border, the smallest margin, the smallest penalty.
         most_ranked: more photos than these are narrowed down before they are ranked.
         smallest_weight: below this sum of weights a pixel is not shown.
@@ -201,8 +214,14 @@ class PlaneScene:
         level_start: IntArray,
         level_size: IntArray,
         projection: FloatArray,
+        rays: FloatArray,
         centres: FloatArray,
         focal: FloatArray,
+        inverse_depth: Float32Array,
+        depth_start: IntArray,
+        depth_size: IntArray,
+        pooled_depth: Float32Array,
+        pooled_start: IntArray,
         usable: BoolArray,
         origin: FloatArray,
         order: Int32Array,
@@ -211,12 +230,36 @@ class PlaneScene:
         blocks: Float32Array,
         groups: Float32Array,
         plane: FloatArray,
+        depth_settings: FloatArray,
         penalties: FloatArray,
         most_ranked: int,
         smallest_weight: float,
         has_mesh: bool,
         mesh: FloatArray,
     ) -> None: ...
+    def depth_samples(self, is_source: BoolArray, steps: FloatArray) -> DepthSamples:
+        """Takes samples of depth maps.
+
+        Args:
+            is_source: (N,) whose.
+            steps: (N,) from one sample to the next, at least 1 pixel of the depth map.
+        """
+
+    def sources(
+        self, poses: FloatArray, usual_inverse_depth: float, turn_cost: float, most: int
+    ) -> Int32Array:
+        """Chooses the photos nearest to virtual cameras that have depth maps.
+
+        Args:
+            poses: (B, 4, 4) world_from_camera.
+            usual_inverse_depth: what is near, 1 / metres.
+            turn_cost: how many of the usual depths a rotation by a radian costs.
+            most: photos at most.
+
+        Returns:
+            (B, most) photos, -1 behind the last.
+        """
+
     def render(
         self,
         poses: FloatArray,
@@ -230,6 +273,9 @@ class PlaneScene:
         pixels: Int32Array,
         width: int,
         height: int,
+        samples: DepthSamples | None,
+        sources: Int32Array,
+        spacing: float,
     ) -> tuple[Float32Array, Float32Array]:
         """Renders some pixels of virtual views.
 
@@ -245,6 +291,9 @@ class PlaneScene:
             pixels: (P,) indices in the image, rising.
             width: of the image, and
             height: of it.
+            samples: of depth maps of this light field; None: the surface is the plane.
+            sources: (B, S) whose depth maps make the surface; -1 behind the last.
+            spacing: of the vertices that approximate it, at least 1 pixel.
 
         Returns:
             (B, P, 4) RGB, 0 to 255, and 1 where any photo shows the pixel, all zero elsewhere; and
@@ -264,6 +313,9 @@ class PlaneScene:
         pixels: Int32Array,
         width: int,
         height: int,
+        samples: DepthSamples | None,
+        sources: Int32Array,
+        spacing: float,
         query: Float32Array,
         cost: int,
         fit_gain: bool,
@@ -286,6 +338,9 @@ class PlaneScene:
             pixels: (P,) indices in the image, rising.
             width: of the image, and
             height: of it.
+            samples: of depth maps of this light field; None: the surface is the plane.
+            sources: (B, S) whose depth maps make the surface; -1 behind the last.
+            spacing: of the vertices that approximate it, at least 1 pixel.
             query: (h, w, 4) these P = h w pixels; see ``comparison.compare``.
             cost: a ``Cost``.
             fit_gain: whether a brightness factor is fitted for each view.

@@ -1,15 +1,20 @@
-#include "plane_renderer.hpp"
+#include "renderer.hpp"
 
 #include <algorithm>
+#include <memory>
+#include <span>
 #include <vector>
 
 #include "comparison.hpp"
 #include "delaunay_blending.hpp"
+#include "depth_surface.hpp"
 #include "hole_filling.hpp"
 #include "homography.hpp"
 #include "level.hpp"
+#include "normalisation.hpp"
 #include "regions.hpp"
 #include "sampling.hpp"
+#include "surface.hpp"
 #include "tiles.hpp"
 
 namespace lfnav::LFNAV_LEVEL {
@@ -24,67 +29,71 @@ static_assert(MOST_BLENDED < SLOTS);
 ///
 /// @tparam Blending: chooses regions of the image, and which photos are blended in them.
 template <typename Blending>
-class PlaneRenderer {
+class ViewRenderer {
   public:
-    PlaneRenderer(const PlaneScene& scene, const VirtualViews& views)
-        : scene_(scene),
+    ViewRenderer(const LightField& field, const VirtualViews& views)
+        : field_(field),
           views_(views),
           middle_{static_cast<std::int32_t>(views.width / 2),
                   static_cast<std::int32_t>(views.height / 2)},
-          blending_(scene, views, middle_),
-          homographies_(scene.photos.count),
-          is_mapped_(scene.photos.count),
-          shown_(scene.photos.count),
-          first_(scene.photos.count, END),
+          surface_(surface_of(field, views)),
+          blending_(field, views, middle_, *surface_),
+          homographies_(field.photos.count),
+          is_mapped_(field.photos.count),
+          shown_(field.photos.count),
+          first_(field.photos.count, END),
+          pixels_(views.pixels.size()),
+          seen_(views.pixels.size()),
           inverse_depth_(views.pixels.size() + TOGETHER) {
         const auto width = static_cast<std::int32_t>(views.width);
-        for (const std::int32_t pixel : views.pixels) {
-            pixels_.push_back(
-                {static_cast<float>(pixel % width), static_cast<float>(pixel / width), 0.0F});
+        for (std::size_t i = 0; i < seen_.size(); ++i) {
+            pixels_.x[i] = static_cast<float>(views.pixels[i] % width);
+            pixels_.y[i] = static_cast<float>(views.pixels[i] / width);
         }
+        surface_->prepare(pixels_);
     }
 
     /// Renders a view.
     ///
     /// @param image: (P, 4) receives it, see render().
     LFNAV_INLINE void draw(std::size_t number, float* image) {
-        const VirtualCamera camera(views_.poses + 16 * number, views_.intrinsics, scene_.plane);
+        const VirtualCamera camera(views_.poses + 16 * number, views_.intrinsics);
+        surface_->look_from(camera, number);
+        surface_->set_inverse_depths(pixels_, seen_.data());
         std::fill(is_mapped_.begin(), is_mapped_.end(), std::uint8_t{0});
         const auto own = [&](std::size_t photo) -> const Homography& {
             return homography(camera, photo);
         };
-        blending_.choose(camera, own);
-        std::fill_n(image, 4 * pixels_.size(), 0.0F);
-        const double middle_x = middle_.x, middle_y = middle_.y;
-        const RegionPixels& ordered = blending_.pixels();
-#pragma omp simd
-        for (std::size_t i = 0; i < pixels_.size(); ++i) {
-            inverse_depth_[i] = camera.inverse_depth(static_cast<double>(ordered.x[i]) + middle_x,
-                                                     static_cast<double>(ordered.y[i]) + middle_y);
+        blending_.choose(camera, *surface_, own);
+        const std::vector<std::int32_t>& place = blending_.pixels().place;
+        for (std::size_t i = 0; i < seen_.size(); ++i) {
+            inverse_depth_[i] = seen_[static_cast<std::size_t>(place[i])];
         }
-        blend_regions(camera, image);
-        if (normalise(image) > 0) {
-            for (std::size_t i = 0; i < pixels_.size(); ++i) {
-                pixels_[i].inverse_depth = camera.inverse_depth(static_cast<double>(pixels_[i].x),
-                                                                static_cast<double>(pixels_[i].y));
-            }
+        std::fill_n(image, 4 * seen_.size(), 0.0F);
+        if (field_.photos.has_depth) {
+            blend_regions<true>(camera, image);
+        } else {
+            blend_regions<false>(camera, image);
+        }
+        if (normalise(image, seen_.size(), field_.smallest_weight) > 0) {
             fill_holes(camera, image);
         }
     }
 
-    /// The plane's inverse depths at the pixels.
-    void set_inverse_depths(std::size_t number, float* inverse_depths) const {
-        const VirtualCamera camera(views_.poses + 16 * number, views_.intrinsics, scene_.plane);
-        for (std::size_t i = 0; i < pixels_.size(); ++i) {
-            inverse_depths[i] = camera.inverse_depth(static_cast<double>(pixels_[i].x),
-                                                     static_cast<double>(pixels_[i].y));
-        }
-    }
+    /// The inverse depths at the pixels of the view that was drawn last.
+    std::span<const float> inverse_depths() const { return seen_; }
 
   private:
+    static std::unique_ptr<Surface> surface_of(const LightField& field, const VirtualViews& views) {
+        if (views.samples == nullptr) {
+            return std::make_unique<PlaneSurface>(field.plane);
+        }
+        return std::make_unique<DepthSurface>(field, views);
+    }
+
     LFNAV_INLINE const Homography& homography(const VirtualCamera& camera, std::size_t photo) {
         if (is_mapped_[photo] == 0) {
-            homographies_[photo].set(scene_.photos, photo, camera, middle_);
+            homographies_[photo].set(field_.photos, photo, camera, middle_);
             is_mapped_[photo] = 1;
         }
         return homographies_[photo];
@@ -118,6 +127,9 @@ class PlaneRenderer {
     }
 
     /// Adds to each pixel what the photos of its region show, photo by photo.
+    ///
+    /// @tparam MAY_BE_HIDDEN: whether depth maps may hide the surface.
+    template <bool MAY_BE_HIDDEN>
     LFNAV_INLINE void blend_regions(const VirtualCamera& camera, float* image) {
         const std::span<const Region> regions = blending_.regions();
         const std::vector<std::size_t>& starts = blending_.pixels().starts;
@@ -136,15 +148,16 @@ class PlaneRenderer {
                     first += taken;
                     count += taken;
                     if (count == CHUNK) {
-                        blend_chunk(scene_.photos, photo, own, camera.focal(), chunk_, count,
-                                    image);
+                        blend_chunk<MAY_BE_HIDDEN>(field_.photos, photo, own, camera.focal(),
+                                                   chunk_, count, image);
                         count = 0;
                     }
                 }
                 entry = next_[place];
             }
             if (count > 0) {
-                blend_chunk(scene_.photos, photo, own, camera.focal(), chunk_, count, image);
+                blend_chunk<MAY_BE_HIDDEN>(field_.photos, photo, own, camera.focal(), chunk_, count,
+                                           image);
             }
             first_[photo] = END;
         }
@@ -170,55 +183,37 @@ class PlaneRenderer {
         }
     }
 
-    /// Divides colours by their weights; alpha becomes 1 or, where no photo shows anything, 0.
-    ///
-    /// @return how many pixels no photo shows.
-    LFNAV_INLINE std::size_t normalise(float* image) const {
-        const float smallest = scene_.smallest_weight;
-        std::int32_t empty = 0;
-#pragma omp simd reduction(+ : empty)
-        for (std::size_t i = 0; i < pixels_.size(); ++i) {
-            const float total = image[4 * i + 3] / 255.0F;
-            const bool is_shown = total > smallest;
-            const float factor = is_shown ? 1.0F / total : 0.0F;
-            image[4 * i] *= factor;
-            image[4 * i + 1] *= factor;
-            image[4 * i + 2] *= factor;
-            image[4 * i + 3] = is_shown ? 1.0F : 0.0F;
-            empty += is_shown ? 0 : 1;
-        }
-        return static_cast<std::size_t>(empty);
-    }
-
     /// Has pixels that none of their region's photos shows shown by others.
     void fill_holes(const VirtualCamera& camera, float* image) {
         const auto own = [&](std::size_t photo) -> const Homography& {
             return homography(camera, photo);
         };
         const auto found =
-            filling_(scene_.photos, blending_.candidates(), camera, own, pixels_, image);
+            filling_(field_.photos, blending_.candidates(), camera, own, pixels_, seen_, image);
         // Neighbours mostly have the same photo.
         for (std::size_t first = 0, last = 0; first < found.size(); first = last) {
             const std::size_t photo = found[first].photo;
             std::size_t count = 0;
             for (; last < found.size() && found[last].photo == photo && count < CHUNK; ++last) {
-                const RenderedPixel& pixel = pixels_[found[last].pixel];
-                chunk_.x[count] = pixel.x - static_cast<float>(middle_.x);
-                chunk_.y[count] = pixel.y - static_cast<float>(middle_.y);
-                chunk_.inverse_depth[count] = pixel.inverse_depth;
+                const std::size_t pixel = found[last].pixel;
+                chunk_.x[count] = pixels_.x[pixel] - static_cast<float>(middle_.x);
+                chunk_.y[count] = pixels_.y[pixel] - static_cast<float>(middle_.y);
+                chunk_.inverse_depth[count] = seen_[pixel];
                 chunk_.weight[count] = 1.0F;
-                chunk_.pixel[count++] = static_cast<std::int32_t>(found[last].pixel);
+                chunk_.pixel[count++] = static_cast<std::int32_t>(pixel);
             }
-            blend_chunk(scene_.photos, photo, own(photo), camera.focal(), chunk_, count, image);
+            blend_chunk<false>(field_.photos, photo, own(photo), camera.focal(), chunk_, count,
+                               image);
         }
         for (const HoleFilling::Found& one : found) {
             image[4 * one.pixel + 3] = 1.0F;
         }
     }
 
-    PlaneScene scene_;
+    LightField field_;
     VirtualViews views_;
     Middle middle_;
+    std::unique_ptr<Surface> surface_;
     Blending blending_;
     std::vector<Homography> homographies_;
     std::vector<std::uint8_t> is_mapped_;
@@ -226,29 +221,30 @@ class PlaneRenderer {
     /// are SLOTS times the region and the photo's slot in it.
     std::vector<std::size_t> shown_;
     std::vector<std::int32_t> first_, next_;
-    /// In the order of the image.
-    std::vector<RenderedPixel> pixels_;
-    /// In the order of the regions' pixels.
+    /// The pixels in the order of the image, and the surface's inverse depths there.
+    Places pixels_;
+    std::vector<float> seen_;
+    /// These in the order of the regions' pixels.
     std::vector<float> inverse_depth_;
     PixelChunk chunk_ = {};
     HoleFilling filling_;
 };
 
 template <typename Blending>
-void render_by(const PlaneScene& scene, const VirtualViews& views, float* images,
+void render_by(const LightField& field, const VirtualViews& views, float* images,
                float* inverse_depths) {
-    PlaneRenderer<Blending> renderer(scene, views);
+    ViewRenderer<Blending> renderer(field, views);
     const std::size_t pixels = views.pixels.size();
     for (std::size_t number = 0; number < views.count; ++number) {
         renderer.draw(number, images + 4 * pixels * number);
-        renderer.set_inverse_depths(number, inverse_depths + pixels * number);
+        std::ranges::copy(renderer.inverse_depths(), inverse_depths + pixels * number);
     }
 }
 
 template <typename Blending>
-void compare_by(const PlaneScene& scene, const VirtualViews& views, const Comparison& comparison,
+void compare_by(const LightField& field, const VirtualViews& views, const Comparison& comparison,
                 double* costs) {
-    PlaneRenderer<Blending> renderer(scene, views);
+    ViewRenderer<Blending> renderer(field, views);
     std::vector<float> image(4 * views.pixels.size());
     const MaskedImage rendered{image.data(), comparison.query.height, comparison.query.width};
     for (std::size_t number = 0; number < views.count; ++number) {
@@ -260,15 +256,15 @@ void compare_by(const PlaneScene& scene, const VirtualViews& views, const Compar
 
 }  // namespace
 
-void render(const PlaneScene& scene, const VirtualViews& views, float* images,
+void render(const LightField& field, const VirtualViews& views, float* images,
             float* inverse_depths) {
-    (scene.has_mesh ? &render_by<DelaunayBlending> : &render_by<Tiling>)(scene, views, images,
+    (field.has_mesh ? &render_by<DelaunayBlending> : &render_by<Tiling>)(field, views, images,
                                                                          inverse_depths);
 }
 
-void compare_views(const PlaneScene& scene, const VirtualViews& views, const Comparison& comparison,
+void compare_views(const LightField& field, const VirtualViews& views, const Comparison& comparison,
                    double* costs) {
-    (scene.has_mesh ? &compare_by<DelaunayBlending> : &compare_by<Tiling>)(scene, views, comparison,
+    (field.has_mesh ? &compare_by<DelaunayBlending> : &compare_by<Tiling>)(field, views, comparison,
                                                                            costs);
 }
 

@@ -1,4 +1,4 @@
-// What is rendered and compared: a light field whose surface is a plane, virtual views, and costs.
+// What is rendered and compared: a light field, virtual views of it, and costs.
 
 #pragma once
 
@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <span>
 
+#include "depth_samples.hpp"
 #include "image.hpp"
 #include "light_field.hpp"
 
@@ -28,6 +29,14 @@ struct Grid {
     std::span<const std::int64_t> frustum_across, frustum_down;
 };
 
+/// How vertices with depths become a surface; proxy.py says what these are.
+struct DepthGridSettings {
+    float pinhole_factor;
+    std::int32_t pinhole_neighbours;
+    float edge_factor;
+    double largest_gap_share;
+};
+
 /// Kinds of comparison, see pipelines/lightfield/comparison.py.
 enum class Cost { SQUARED, ROBUST, ZNCC, GRADIENT, EVIDENCE };
 
@@ -44,11 +53,12 @@ struct CostSettings {
 };
 
 /// A light field and how it is rendered.
-struct PlaneScene {
+struct LightField {
     Photos photos;
     PhotoIndex index;
     /// (4,) unit normal and offset; the photos' cameras are on its positive side.
     const double* plane;
+    DepthGridSettings depth_grid;
     PenaltySettings penalties;
     /// More photos than these are narrowed down before they are ranked.
     std::size_t most_ranked;
@@ -71,6 +81,13 @@ struct VirtualViews {
     Grid grid;
     /// Indices of the pixels in the image, rising.
     std::span<const std::int32_t> pixels;
+    /// Of the depth maps that make the surface; none: it is the plane.
+    const DepthSamples* samples;
+    /// (B, most_sources) whose these are, for each camera; -1: none.
+    const std::int32_t* sources;
+    std::size_t most_sources;
+    /// Of the vertices that approximate it, pixels.
+    double spacing;
 };
 
 /// What views are compared with.
