@@ -46,7 +46,7 @@ LFNAV_INLINE FloatVector loaded(const float* from, std::size_t count) {
 /// Of pixels of four channels one channel in all of them.
 template <std::int32_t CHANNEL>
 LFNAV_INLINE FloatVector spread(const FloatVector& pixels) {
-    constexpr std::int32_t A = CHANNEL, B = A + 4, C = A + 8, D = A + 12;
+    [[maybe_unused]] constexpr std::int32_t A = CHANNEL, B = A + 4, C = A + 8, D = A + 12;
 #if defined(__AVX512F__)
     return __builtin_shufflevector(pixels, pixels, A, A, A, A, B, B, B, B, C, C, C, C, D, D, D, D);
 #elif defined(__AVX2__)
