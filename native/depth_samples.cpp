@@ -1,7 +1,9 @@
 #include "depth_samples.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <limits>
 #include <utility>
 
 namespace lfnav {
@@ -14,11 +16,6 @@ constexpr std::size_t STRIP = 12;
 /// How far apart neighbours are in a batch; odd, so that all places are taken.
 constexpr std::size_t APART = 51;
 
-/// Where the column of a sample is among the values.
-std::size_t place_of(std::size_t number) {
-    return number / BATCH * (3 * BATCH) + number * APART % BATCH;
-}
-
 /// Columns, or rows, that are sampled.
 std::vector<std::size_t> sampled(std::int64_t length, double step) {
     std::vector<std::size_t> places;
@@ -28,62 +25,97 @@ std::vector<std::size_t> sampled(std::int64_t length, double step) {
     return places;
 }
 
+/// Writes batches one after the other.
+class BatchWriter {
+  public:
+    BatchWriter(float* values, float* boxes, std::size_t length)
+        : values_(values), boxes_(boxes), length_(length) {}
+
+    /// Of all photos so far.
+    std::size_t batches() const { return batches_; }
+
+    void add(float x, float y, float inverse_depth) {
+        last_ = {x, y, inverse_depth};
+        for (std::size_t axis = 0; axis < 3; ++axis) {
+            values_[axis * BATCH + filled_ * APART % BATCH] = last_[axis];
+            low_[axis] = std::min(low_[axis], last_[axis]);
+            high_[axis] = std::max(high_[axis], last_[axis]);
+        }
+        if (++filled_ == BATCH) {
+            end_batch();
+        }
+    }
+
+    /// Fills a batch that has been begun up with its last sample.
+    void fill_up() {
+        while (filled_ > 0) {
+            add(last_[0], last_[1], last_[2]);
+        }
+    }
+
+  private:
+    void end_batch() {
+        for (std::size_t axis = 0; axis < 3; ++axis) {
+            boxes_[axis * length_ + batches_] = 0.5F * (low_[axis] + high_[axis]);
+            boxes_[(axis + 3) * length_ + batches_] = 0.5F * (high_[axis] - low_[axis]);
+        }
+        values_ += 3 * BATCH;
+        ++batches_;
+        filled_ = 0;
+        low_ = {LARGEST, LARGEST, LARGEST};
+        high_ = {-LARGEST, -LARGEST, -LARGEST};
+    }
+
+    static constexpr float LARGEST = std::numeric_limits<float>::infinity();
+    float *values_, *boxes_;
+    std::size_t length_, batches_ = 0, filled_ = 0;
+    std::array<float, 3> last_{}, low_{LARGEST, LARGEST, LARGEST},
+        high_{-LARGEST, -LARGEST, -LARGEST};
+};
+
 }  // namespace
 
 DepthSamples::DepthSamples(const Photos& photos, std::span<const bool> is_source,
                            std::span<const double> steps)
     : starts(photos.count), ends(photos.count) {
-    std::size_t found = 0;
-    const auto add = [&](float x, float y, float inverse_depth) {
-        const std::size_t place = place_of(found);
-        if (found % BATCH == 0) {
-            values.resize(values.size() + 3 * BATCH);
-        }
-        values[place] = x;
-        values[place + BATCH] = y;
-        values[place + 2 * BATCH] = inverse_depth;
-        ++found;
-    };
+    std::vector<std::vector<std::size_t>> columns(photos.count), rows(photos.count);
+    std::size_t most = 0;
     for (std::size_t photo = 0; photo < photos.count; ++photo) {
-        starts[photo] = found / BATCH;
-        const std::int64_t* const size = photos.depth_size + 2 * photo;
         if (is_source[photo]) {
-            const auto columns = sampled(size[0], steps[photo]);
-            const auto rows = sampled(size[1], steps[photo]);
-            const float* const map = photos.inverse_depth + photos.depth_start[photo];
-            const double middle_x = 0.5 * static_cast<double>(size[0]) - 0.5;
-            const double middle_y = 0.5 * static_cast<double>(size[1]) - 0.5;
-            for (std::size_t top = 0; top < rows.size(); top += STRIP) {
-                for (const std::size_t column : columns) {
-                    for (std::size_t i = top; i < std::min(top + STRIP, rows.size()); ++i) {
-                        const float value =
-                            map[rows[i] * static_cast<std::size_t>(size[0]) + column];
-                        if (value > 0.0F) {
-                            add(static_cast<float>(static_cast<double>(column) - middle_x),
-                                static_cast<float>(static_cast<double>(rows[i]) - middle_y), value);
-                        }
+            columns[photo] = sampled(photos.depth_size[2 * photo], steps[photo]);
+            rows[photo] = sampled(photos.depth_size[2 * photo + 1], steps[photo]);
+            most += (columns[photo].size() * rows[photo].size() + BATCH - 1) / BATCH;
+        }
+    }
+    length = most + BATCHES;
+    values = std::make_unique_for_overwrite<float[]>(3 * BATCH * most);
+    boxes.resize(6 * length);
+    BatchWriter writer(values.get(), boxes.data(), length);
+    for (std::size_t photo = 0; photo < photos.count; ++photo) {
+        const auto width = static_cast<std::size_t>(photos.depth_size[2 * photo]);
+        const auto height = static_cast<std::size_t>(photos.depth_size[2 * photo + 1]);
+        const float* const map = photos.inverse_depth + photos.depth_start[photo];
+        const double middle_x = 0.5 * static_cast<double>(width) - 0.5;
+        const double middle_y = 0.5 * static_cast<double>(height) - 0.5;
+        starts[photo] = writer.batches();
+        for (std::size_t top = 0; top < rows[photo].size(); top += STRIP) {
+            const std::size_t below = std::min(top + STRIP, rows[photo].size());
+            for (const std::size_t column : columns[photo]) {
+                const auto x = static_cast<float>(static_cast<double>(column) - middle_x);
+                for (std::size_t i = top; i < below; ++i) {
+                    const std::size_t row = rows[photo][i];
+                    const float value = map[row * width + column];
+                    if (value > 0.0F) {
+                        writer.add(x, static_cast<float>(static_cast<double>(row) - middle_y),
+                                   value);
                     }
                 }
             }
         }
-        while (found % BATCH > 0) {
-            const std::size_t last = place_of(found - 1);
-            add(values[last], values[last + BATCH], values[last + 2 * BATCH]);
-        }
-        ends[photo] = found / BATCH;
+        writer.fill_up();
+        ends[photo] = writer.batches();
     }
-    const std::size_t length = found / BATCH + BATCHES;
-    boxes.resize(6 * length);
-    for (std::size_t batch = 0; batch < found / BATCH; ++batch) {
-        for (std::size_t axis = 0; axis < 3; ++axis) {
-            const auto first =
-                values.begin() + static_cast<std::ptrdiff_t>((3 * batch + axis) * BATCH);
-            const auto [low, high] =
-                std::minmax_element(first, first + static_cast<std::ptrdiff_t>(BATCH));
-            boxes[axis * length + batch] = 0.5F * (*low + *high);
-            boxes[(axis + 3) * length + batch] = 0.5F * (*high - *low);
-        }
-    }
+    count = BATCH * writer.batches();
 }
 
 void choose_sources(const Photos& photos, const double* pose, double usual_inverse_depth,

@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <span>
 #include <vector>
 
@@ -22,10 +23,11 @@ struct DepthSamples {
     /// (N,) each photo's first batch, and the one behind its last.
     std::vector<std::size_t> starts, ends;
     /// (B, 3, BATCH) columns and rows in the depth map, from its middle, and inverse depths.
-    std::vector<float> values;
-    /// (6, B + BATCHES) around batches: the middles of columns, rows and inverse depths, and how
-    /// far these go from there.
+    std::unique_ptr<float[]> values;
+    /// (6, length) around batches: the middles of columns, rows and inverse depths, and how far
+    /// these go from there; for more batches than there are, BATCHES at least.
     std::vector<float> boxes;
+    std::size_t length, count;
 
     /// @param is_source: (N,) whose depth maps are sampled.
     /// @param steps: (N,) from one sample to the next, at least 1 pixel.

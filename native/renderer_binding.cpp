@@ -354,7 +354,7 @@ nb::object python_costs(const PythonLightField& self, nb::handle poses, nb::hand
 
 void bind_renderer(nb::module_& module) {
     nb::class_<DepthSamples>(module, "DepthSamples").def("count", [](const DepthSamples& self) {
-        return self.values.size() / 3;
+        return self.count;
     });
     nb::class_<PythonLightField>(module, "LightField")
         .def(nb::init<nb::handle, nb::handle, nb::handle, nb::handle, nb::handle, nb::handle,

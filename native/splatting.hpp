@@ -90,7 +90,7 @@ class Splatting {
             std::size_t count = 0;
             for (std::size_t i = 0; i < batches; ++i) {
                 if (reach[i] >= 0.0F) {
-                    place(samples.values.data() + 3 * DepthSamples::BATCH * (first + i), projection,
+                    place(samples.values.get() + 3 * DepthSamples::BATCH * (first + i), projection,
                           grid, count);
                     count += DepthSamples::BATCH;
                 }
@@ -107,7 +107,7 @@ class Splatting {
     /// Writes how far batches reach into the grid; with less than 0 they are outside.
     LFNAV_INLINE static void set_reach(const DepthSamples& samples, std::size_t first,
                                        const DepthProjection& projection, float* reach) {
-        const std::size_t length = samples.boxes.size() / 6;
+        const std::size_t length = samples.length;
         const float* const boxes = samples.boxes.data() + first;
 #pragma omp simd
         for (std::size_t i = 0; i < DepthSamples::BATCHES; ++i) {

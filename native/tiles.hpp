@@ -110,17 +110,30 @@ class Tiling {
             tiles_[i].left = static_cast<float>(grid_.across[i % across()] - middle.x);
             tiles_[i].top = static_cast<float>(grid_.down[i / across()] - middle.y);
         }
-        const auto tile_at = [](std::span<const std::int64_t> borders, std::int64_t place) {
-            const auto inner_end = borders.end() - 1;
-            const auto after = std::upper_bound(borders.begin() + 1, inner_end, place);
-            return static_cast<std::size_t>(after - borders.begin()) - 1;
+        // In which tile each column, or row, is.
+        const auto tiles_along = [](std::span<const std::int64_t> borders, std::size_t length) {
+            std::vector<std::size_t> result(length);
+            for (std::size_t i = 0, tile = 0; i < length; result[i++] = tile) {
+                while (tile + 2 < borders.size() &&
+                       borders[tile + 1] <= static_cast<std::int64_t>(i)) {
+                    ++tile;
+                }
+            }
+            return result;
         };
+        const auto columns = tiles_along(grid_.across, views.width);
+        const auto rows = tiles_along(grid_.down, views.height);
         std::vector<std::size_t> tiles(views.pixels.size());
         pixels_.starts.resize(tiles_.size() + 1);
-        const auto width = static_cast<std::int64_t>(views.width);
+        const auto width = static_cast<std::uint32_t>(views.width);
+        const auto column = [&](std::size_t i) {
+            return static_cast<std::uint32_t>(views.pixels[i]) % width;
+        };
+        const auto row = [&](std::size_t i) {
+            return static_cast<std::uint32_t>(views.pixels[i]) / width;
+        };
         for (std::size_t i = 0; i < tiles.size(); ++i) {
-            const std::int64_t column = views.pixels[i] % width, row = views.pixels[i] / width;
-            tiles[i] = tile_at(grid_.down, row) * across() + tile_at(grid_.across, column);
+            tiles[i] = rows[row(i)] * across() + columns[column(i)];
             ++pixels_.starts[tiles[i] + 1];
         }
         for (std::size_t tile = 0; tile < tiles_.size(); ++tile) {
@@ -129,8 +142,8 @@ class Tiling {
         std::vector<std::size_t> ends(pixels_.starts.begin(), pixels_.starts.end() - 1);
         for (std::size_t i = 0; i < tiles.size(); ++i) {
             const std::size_t place = ends[tiles[i]]++;
-            pixels_.x[place] = static_cast<float>(views.pixels[i] % width - middle.x);
-            pixels_.y[place] = static_cast<float>(views.pixels[i] / width - middle.y);
+            pixels_.x[place] = static_cast<float>(static_cast<std::int32_t>(column(i)) - middle.x);
+            pixels_.y[place] = static_cast<float>(static_cast<std::int32_t>(row(i)) - middle.y);
             pixels_.place[place] = static_cast<std::int32_t>(i);
         }
     }
