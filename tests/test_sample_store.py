@@ -75,11 +75,9 @@ def test_samples_are_every_so_many_pixels_of_the_depth_map(view: int, spacing: f
     np.testing.assert_array_equal(found, np.unique(wanted, axis=0))
 
 
-def store() -> SampleStore[tuple[BoolArray, float]]:
-    """A store of samples that are named by the views they are of, a hundred a view."""
-    return SampleStore(
-        lambda views, focal, spacing: ((views.copy(), spacing), 100 * int(views.sum()))
-    )
+def store() -> SampleStore[tuple[BoolArray, FloatArray]]:
+    """A store of samples that are named by the views they are of and their steps."""
+    return SampleStore(VIEWS.arrays, lambda views, steps: (views.copy(), steps))
 
 
 def test_views_are_added_to_what_is_kept() -> None:
@@ -90,20 +88,32 @@ def test_views_are_added_to_what_is_kept() -> None:
     np.testing.assert_array_equal(more[0], marked(1, 2, 4))
     assert kept(marked(1, 2, 4), FOCAL, SPACING) is more
     # Other vertices, other samples.
-    assert kept(marked(1), FOCAL, 2.0 * SPACING)[1] == 2.0 * SPACING
+    np.testing.assert_allclose(kept(marked(1), FOCAL, 9.0)[1] / more[1], 3.0, rtol=0.01)
 
 
 def test_no_more_is_kept_than_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sample_store, "MOST_SAMPLES", 200)
+    views = VIEWS.arrays
+    renderer = Renderer(VIEWS, WALL, quality=Quality.FINE, threads=1)
+    assert renderer._native is not None
+    one, three = (
+        renderer._native._light_field.depth_samples(marked(*some), np.ones(6)).count()
+        for some in ((1,), (3, 4, 5))
+    )
+    monkeypatch.setattr(sample_store, "MOST_SAMPLES", int(1.5 * one))
+    monkeypatch.setattr(sample_store, "DEPTHS_A_SAMPLE", 1000)
     kept = store()
-    first = kept(marked(1), FOCAL, SPACING)
-    assert kept(marked(1), FOCAL, SPACING) is first
-    large = kept(marked(3, 4, 5), FOCAL, SPACING)
+    first = kept(marked(1), FOCAL, 0.1)
+    assert one > 0.7 * views.depth_size[1].prod()
+    assert three > 1.5 * one
+    assert kept(marked(1), FOCAL, 0.1) is first
+    large = kept(marked(3, 4, 5), FOCAL, 0.1)
     np.testing.assert_array_equal(large[0], marked(3, 4, 5))
-    assert kept(marked(1), FOCAL, SPACING) is first
-    for spacing in range(10, 20):
-        kept(marked(1), FOCAL, float(spacing))
-    assert kept(marked(1), FOCAL, SPACING) is not first
+    assert kept(marked(3, 4, 5), FOCAL, 0.1) is not large
+    assert kept(marked(1), FOCAL, 0.1) is first
+    # Of two that are too much together the later one stays.
+    other = kept(marked(1), FOCAL, 0.2)
+    assert kept(marked(1), FOCAL, 0.2) is other
+    assert kept(marked(1), FOCAL, 0.1) is not first
 
 
 def test_costs_do_not_depend_on_what_was_asked_before() -> None:

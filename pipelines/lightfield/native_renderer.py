@@ -42,12 +42,10 @@ from pipelines.lightfield.proxy import (
     LARGEST_GAP_SHARE,
     PINHOLE_FACTOR,
     PINHOLE_NEIGHBOURS,
-    PIXEL_PARTS,
     SOURCE_VIEWS,
     TURN_COST,
     Quality,
     cell_size,
-    sample_steps,
 )
 from pipelines.lightfield.reference import SMALLEST_WEIGHT, frustum_positions
 from pipelines.lightfield.sample_store import SampleStore
@@ -141,7 +139,7 @@ class NativeRenderer:
             has_mesh=blending is Blending.DELAUNAY,
             mesh=MESH_LIMITS,
         )
-        self._samples = SampleStore(self._sample)
+        self._samples = SampleStore(arrays, self._light_field.depth_samples)
 
     def surfaces(self, poses: FloatArray, intrinsics: Intrinsics) -> Surfaces:
         """What the surfaces are made of that virtual cameras see from poses ``(B, 4, 4)``."""
@@ -155,14 +153,6 @@ class NativeRenderer:
         spacing = float(cell_size(self._views, intrinsics, self._quality))
         samples = self._samples(is_source, 0.5 * (intrinsics.fx + intrinsics.fy), spacing)
         return Surfaces(samples, sources, spacing)
-
-    def _sample(
-        self, is_source: BoolArray, focal: float, spacing: float
-    ) -> tuple[DepthSamples, int]:
-        """Samples of some views' depth maps, and their number; see ``SampleStore``."""
-        steps = sample_steps(self._views.arrays, focal, spacing) / PIXEL_PARTS
-        samples = self._light_field.depth_samples(is_source, steps)
-        return samples, samples.count()
 
     def draw(
         self, poses: FloatArray, surfaces: Surfaces, intrinsics: Intrinsics, chosen: Int32Array

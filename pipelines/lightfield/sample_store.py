@@ -1,14 +1,27 @@
 """Samples of depth maps that are kept from one call to the next."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from pipelines.artifacts.array_types import BoolArray
+from pipelines.artifacts.array_types import BoolArray, FloatArray
+from pipelines.lightfield.proxy import PIXEL_PARTS, sample_steps
+from pipelines.lightfield.views import ViewArrays
 
-# So many samples are kept at most, three numbers each, of so many kinds: some tens of megabytes.
-MOST_SAMPLES, MOST_KINDS = 1 << 20, 4
+# So many samples are kept at most, of twelve bytes each; of large light fields one for so many
+# depths, which take four bytes each.
+MOST_SAMPLES, DEPTHS_A_SAMPLE = 1 << 22, 8
 
 Samples = TypeVar("Samples")
+
+
+@dataclass(frozen=True)
+class _Kept(Generic[Samples]):
+    """Samples of the views ``is_source`` ``(N,)``, at most ``count`` ones."""
+
+    is_source: BoolArray
+    samples: Samples
+    count: int
 
 
 class SampleStore(Generic[Samples]):
@@ -18,14 +31,15 @@ class SampleStore(Generic[Samples]):
     handed out does not change, so that threads may share a store.
 
     Args:
-        take: takes the samples of some views ``(N,)``, for the virtual camera's focal length and
-            the distance between the surface's vertices, both in pixels; returns how many these are,
-            too.
+        views: the light field.
+        take: takes the samples of some views ``(N,)``, for steps ``(N,)`` from one to the next in
+            pixels of the depth maps.
     """
 
-    def __init__(self, take: Callable[[BoolArray, float, float], tuple[Samples, int]]) -> None:
-        self._take = take
-        self._kept: dict[tuple[float, float], tuple[BoolArray, Samples]] = {}
+    def __init__(self, views: ViewArrays, take: Callable[[BoolArray, FloatArray], Samples]) -> None:
+        self._views, self._take = views, take
+        self._most = max(MOST_SAMPLES, len(views.inverse_depth) // DEPTHS_A_SAMPLE)
+        self._kept: dict[tuple[float, float], _Kept[Samples]] = {}
 
     def __call__(self, is_source: BoolArray, focal: float, spacing: float) -> Samples:
         """Samples of some views at least.
@@ -37,15 +51,24 @@ class SampleStore(Generic[Samples]):
         """
         kind = (focal, spacing)
         kept = self._kept.get(kind)
-        if kept is not None and not (is_source & ~kept[0]).any():
-            return kept[1]
-        wanted = is_source if kept is None else is_source | kept[0]
-        samples, count = self._take(wanted, focal, spacing)
-        if count > MOST_SAMPLES and kept is not None:
+        if kept is not None and not (is_source & ~kept.is_source).any():
+            return kept.samples
+        steps = sample_steps(self._views, focal, spacing)
+        counts = (-(-PIXEL_PARTS * self._views.depth_size // steps[:, None])).prod(axis=1)
+        wanted = is_source if kept is None else is_source | kept.is_source
+        if counts[wanted].sum() > self._most:
             wanted = is_source
-            samples, count = self._take(wanted, focal, spacing)
-        if count <= MOST_SAMPLES:
-            self._kept[kind] = wanted, samples
-            for oldest in list(self._kept)[:-MOST_KINDS]:
-                self._kept.pop(oldest, None)
-        return samples
+        found = self._take(wanted, steps / PIXEL_PARTS)
+        self._keep(kind, _Kept(wanted, found, int(counts[wanted].sum())))
+        return found
+
+    def _keep(self, kind: tuple[float, float], found: _Kept[Samples]) -> None:
+        """Keeps samples, and of older ones the latest that fit in beside them."""
+        if found.count > self._most:
+            return
+        kept, room = {kind: found}, self._most - found.count
+        for other, older in reversed(self._kept.items()):
+            if other != kind and older.count <= room:
+                kept[other] = older
+                room -= older.count
+        self._kept = dict(reversed(kept.items()))
