@@ -21,6 +21,7 @@
 #include "homography.hpp"
 #include "level.hpp"
 #include "regions.hpp"
+#include "scatter.hpp"
 #include "virtual_views.hpp"
 
 namespace lfnav::LFNAV_LEVEL {
@@ -70,18 +71,12 @@ class DelaunayMesh {
         runs_.clear();
         project(camera, centres, takes_part, count);
         if (!points_.empty()) {
-            const bool is_plainly_solid = is_solid();
+            const double share = settings_.flatness * settings_.flatness;
             bool is_flat = points_.size() < 3;
-            if (!is_plainly_solid) {
-                set_axes();
-                const double total = spread_[0][0] + spread_[1][1] + spread_[2][2];
-                is_flat = is_flat || spread_[flattest_][flattest_] <=
-                                         settings_.flatness * settings_.flatness * total;
+            if (!is_flat && !scatter_.is_plainly_solid(share)) {
+                is_flat = scatter_.flattest_axis().spread <= share * scatter_.total();
             }
             if (is_flat || !set_triangles()) {
-                if (is_plainly_solid) {
-                    set_axes();
-                }
                 set_line(line_direction(camera));
             }
         }
@@ -127,7 +122,7 @@ class DelaunayMesh {
         std::sort(keys_.begin(), keys_.end());
         points_.clear();
         photos_.clear();
-        std::fill_n(&scatter_[0][0], 9, 0.0);
+        scatter_.clear();
         for (const Key& key : keys_) {
             const double* const centre = centres + 3 * index(key.index);
             const Point point = projected_centre(centre, camera);
@@ -146,63 +141,9 @@ class DelaunayMesh {
             }
             points_.push_back(point);
             photos_.push_back(key.index);
-            for (std::size_t i = 0; i < 3; ++i) {
-                for (std::size_t j = 0; j < 3; ++j) {
-                    scatter_[i][j] += (centre[i] - pose[4 * i + 3]) * (centre[j] - pose[4 * j + 3]);
-                }
-            }
-        }
-    }
-
-    /// Whether it is plain without its eigenvalues that centres are not in a plane with the virtual
-    /// one: the smallest is at least 4 times the determinant over the square of the trace.
-    bool is_solid() const {
-        const auto& s = scatter_;
-        const double determinant = s[0][0] * (s[1][1] * s[2][2] - s[1][2] * s[2][1]) -
-                                   s[0][1] * (s[1][0] * s[2][2] - s[1][2] * s[2][0]) +
-                                   s[0][2] * (s[1][0] * s[2][1] - s[1][1] * s[2][0]);
-        const double trace = s[0][0] + s[1][1] + s[2][2];
-        return 4.0 * determinant > settings_.flatness * settings_.flatness * trace * trace * trace;
-    }
-
-    /// Sets the axes of the scatter and the spread along them.
-    ///
-    /// Jacobi's method: each rotation takes away one of the numbers beside the diagonal, and each
-    /// round squares what is left of them: five leave nothing.
-    void set_axes() {
-        constexpr std::size_t ROUNDS = 6;
-        for (std::size_t i = 0; i < 3; ++i) {
-            for (std::size_t j = 0; j < 3; ++j) {
-                spread_[i][j] = scatter_[i][j];
-                axes_[i][j] = i == j ? 1.0 : 0.0;
-            }
-        }
-        for (std::size_t turn = 0; turn < 3 * ROUNDS; ++turn) {
-            const std::size_t p = turn % 3, q = (turn + 1) % 3;
-            if (spread_[p][q] == 0.0) {
-                continue;
-            }
-            const double ratio = 0.5 * (spread_[q][q] - spread_[p][p]) / spread_[p][q];
-            const double size = 1.0 / (std::abs(ratio) + std::sqrt(ratio * ratio + 1.0));
-            const double tangent = ratio >= 0.0 ? size : -size;
-            const double cosine = 1.0 / std::sqrt(tangent * tangent + 1.0), sine = tangent * cosine;
-            const auto rotate = [&](double& a, double& b) {
-                const double before = a;
-                a = cosine * before - sine * b;
-                b = sine * before + cosine * b;
-            };
-            for (std::size_t i = 0; i < 3; ++i) {
-                rotate(spread_[p][i], spread_[q][i]);
-            }
-            for (std::size_t i = 0; i < 3; ++i) {
-                rotate(spread_[i][p], spread_[i][q]);
-                rotate(axes_[i][p], axes_[i][q]);
-            }
-            spread_[p][q] = spread_[q][p] = 0.0;
-        }
-        flattest_ = 0;
-        for (std::size_t i = 1; i < 3; ++i) {
-            flattest_ = spread_[i][i] < spread_[flattest_][flattest_] ? i : flattest_;
+            const double offset[3] = {centre[0] - pose[3], centre[1] - pose[7],
+                                      centre[2] - pose[11]};
+            scatter_.add(offset);
         }
     }
 
@@ -214,9 +155,10 @@ class DelaunayMesh {
             // Two define their own line, whatever the plane through them.
             along = {points_[1].x - points_[0].x, points_[1].y - points_[0].y};
         } else {
+            const Scatter::Axis normal = scatter_.flattest_axis();
             for (std::size_t i = 0; i < 3; ++i) {
-                along.x -= camera.pose[4 * i + 1] * axes_[i][flattest_] / camera.fy;
-                along.y += camera.pose[4 * i] * axes_[i][flattest_] / camera.fx;
+                along.x -= camera.pose[4 * i + 1] * normal.direction[i] / camera.fy;
+                along.y += camera.pose[4 * i] * normal.direction[i] / camera.fx;
             }
         }
         const double length = std::sqrt(along.x * along.x + along.y * along.y);
@@ -539,11 +481,8 @@ class DelaunayMesh {
     std::vector<Point> points_;
     std::vector<std::int32_t> photos_;
     std::vector<Key> keys_;
-    /// Of the centres around the virtual one: along world axes, and along
-    double scatter_[3][3], spread_[3][3];
-    /// these, column by column.
-    double axes_[3][3];
-    std::size_t flattest_ = 0;
+    /// Of the centres around the virtual one.
+    Scatter scatter_;
     /// Row by row: columns of a triangle, and of all of them.
     std::vector<std::int32_t> first_columns_, end_columns_;
     std::vector<std::pair<std::size_t, std::size_t>> inside_;

@@ -11,6 +11,7 @@
 #include "hole_filling.hpp"
 #include "homography.hpp"
 #include "level.hpp"
+#include "normalisation.hpp"
 #include "regions.hpp"
 #include "sampling.hpp"
 #include "surface.hpp"
@@ -74,7 +75,7 @@ class ViewRenderer {
         } else {
             blend_regions<false>(camera, image);
         }
-        if (normalise(image) > 0) {
+        if (normalise(image, seen_.size(), field_.smallest_weight) > 0) {
             fill_holes(camera, image);
         }
     }
@@ -180,26 +181,6 @@ class ViewRenderer {
                 chunk_.pixel[to + i] = pixels.place[from + i];
             }
         }
-    }
-
-    /// Divides colours by their weights; alpha becomes 1 or, where no photo shows anything, 0.
-    ///
-    /// @return how many pixels no photo shows.
-    LFNAV_INLINE std::size_t normalise(float* image) const {
-        const float smallest = field_.smallest_weight;
-        std::int32_t empty = 0;
-#pragma omp simd reduction(+ : empty)
-        for (std::size_t i = 0; i < seen_.size(); ++i) {
-            const float total = image[4 * i + 3] / 255.0F;
-            const bool is_shown = total > smallest;
-            const float factor = is_shown ? 1.0F / total : 0.0F;
-            image[4 * i] *= factor;
-            image[4 * i + 1] *= factor;
-            image[4 * i + 2] *= factor;
-            image[4 * i + 3] = is_shown ? 1.0F : 0.0F;
-            empty += is_shown ? 0 : 1;
-        }
-        return static_cast<std::size_t>(empty);
     }
 
     /// Has pixels that none of their region's photos shows shown by others.

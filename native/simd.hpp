@@ -6,6 +6,7 @@
 #include <immintrin.h>
 #endif
 
+#include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
@@ -34,6 +35,38 @@ template <typename Vector, typename Number>
 LFNAV_INLINE void store(const Vector& vector, Number* to) {
     std::memcpy(to, &vector, sizeof vector);
 }
+
+/// The first so many numbers at an address, at most as many as the vector has, and zeros.
+LFNAV_INLINE FloatVector loaded(const float* from, std::size_t count) {
+    FloatVector result = {};
+    std::memcpy(&result, from, std::min(count * sizeof(float), sizeof result));
+    return result;
+}
+
+/// Of pixels of four channels one channel in all of them.
+template <std::int32_t CHANNEL>
+LFNAV_INLINE FloatVector spread(const FloatVector& pixels) {
+    [[maybe_unused]] constexpr std::int32_t A = CHANNEL, B = A + 4, C = A + 8, D = A + 12;
+#if defined(__AVX512F__)
+    return __builtin_shufflevector(pixels, pixels, A, A, A, A, B, B, B, B, C, C, C, C, D, D, D, D);
+#elif defined(__AVX2__)
+    return __builtin_shufflevector(pixels, pixels, A, A, A, A, B, B, B, B);
+#else
+    return __builtin_shufflevector(pixels, pixels, A, A, A, A);
+#endif
+}
+
+/// Of pixels of four channels the sum of the first three, and of the fourth.
+struct ChannelSums {
+    double colours = 0.0, fourth = 0.0;
+
+    LFNAV_INLINE void add(const FloatVector& pixels) {
+        for (std::size_t i = 0; i < sizeof pixels / sizeof(float); i += 4) {
+            colours += static_cast<double>(pixels[i] + pixels[i + 1] + pixels[i + 2]);
+            fourth += static_cast<double>(pixels[i + 3]);
+        }
+    }
+};
 
 /// Numbers at indices of an array. GCC 12 makes of a loop one read after the other.
 LFNAV_INLINE FloatVector gathered(const float* numbers, const IntegerVector& indices) {
