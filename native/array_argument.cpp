@@ -165,6 +165,17 @@ std::size_t integer_between(std::size_t least, std::size_t most, nb::handle numb
     return static_cast<std::size_t>(value);
 }
 
+void check_range(std::span<const std::int32_t> values, std::int64_t least, std::int64_t end,
+                 const char* name) {
+    for (const std::int32_t value : values) {
+        if (value < least || value >= end) {
+            refuse_value(name, "numbers from " + std::to_string(least) + " to " +
+                                   std::to_string(end - 1) + " expected, got " +
+                                   std::to_string(value));
+        }
+    }
+}
+
 template <typename Element>
 NewArray<Element>::NewArray(std::initializer_list<std::size_t> shape) {
     std::size_t size = 1;
@@ -178,6 +189,7 @@ NewArray<Element>::NewArray(std::initializer_list<std::size_t> shape) {
     values = {data, size};
 }
 
+template struct NewArray<std::int32_t>;
 template struct NewArray<float>;
 template struct NewArray<std::uint8_t>;
 template struct NewArray<double>;

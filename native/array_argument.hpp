@@ -6,6 +6,7 @@
 #include <nanobind/ndarray.h>
 
 #include <cstddef>
+#include <cstdint>
 #include <initializer_list>
 #include <span>
 #include <string>
@@ -69,6 +70,10 @@ double positive_number(nanobind::handle number, const char* name);
 /// An integer within limits, both included.
 std::size_t integer_between(std::size_t least, std::size_t most, nanobind::handle number,
                             const char* name);
+
+/// Refuses an array in which a number is below the least or not below the end.
+void check_range(std::span<const std::int32_t> values, std::int64_t least, std::int64_t end,
+                 const char* name);
 
 /// A new NumPy array, all of its elements zero, and where they are.
 template <typename Element>

@@ -10,12 +10,33 @@
 
 #include "image.hpp"
 #include "level.hpp"
-#include "plane_views.hpp"
+#include "simd.hpp"
+#include "virtual_views.hpp"
 
 namespace lfnav::LFNAV_LEVEL {
 
 /// Numbers of pixels that are added up in single precision before the sum is kept in double.
 constexpr std::size_t BLOCK = 256;
+
+/// Calls a function with vectors of the pixels of two images, and which of two sums they belong to:
+/// the next addition to one waits for the last.
+template <typename Function>
+LFNAV_INLINE void for_pixels(const float* image, const float* query, std::size_t pixels,
+                             Function function) {
+    constexpr std::size_t FLOATS = BYTES / sizeof(float);
+    const std::size_t end = 4 * pixels;
+    std::size_t i = 0;
+    for (; i + 2 * FLOATS <= end; i += 2 * FLOATS) {
+        function(loaded<FloatVector>(image + i), loaded<FloatVector>(query + i), 0);
+        function(loaded<FloatVector>(image + i + FLOATS), loaded<FloatVector>(query + i + FLOATS),
+                 1);
+    }
+    for (; i < end; i += FLOATS) {
+        function(loaded(image + i, end - i), loaded(query + i, end - i), 0);
+    }
+}
+
+LFNAV_INLINE FloatVector absolute(const FloatVector& value) { return larger(value, -value); }
 
 /// The factor that fits an image best, between one over the largest gain and the largest.
 ///
@@ -23,58 +44,53 @@ constexpr std::size_t BLOCK = 256;
 ///     not change the brightness of what is seen beside it.
 LFNAV_INLINE double fitted_gain(const float* image, const float* query, std::size_t count,
                                 float limit, double largest) {
-    double product = 0.0, square = 0.0;
+    using Vector = FloatVector;
+    ChannelSums product, square;
     for (std::size_t first = 0; first < count; first += BLOCK) {
-        const float *a = image + 4 * first, *b = query + 4 * first;
-        const std::size_t pixels = std::min(BLOCK, count - first);
-        float own_product = 0.0F, own_square = 0.0F;
-#pragma omp simd reduction(+ : own_product, own_square)
-        for (std::size_t i = 0; i < pixels; ++i) {
-            const float used = a[4 * i + 3] * b[4 * i + 3];
-            for (std::size_t channel = 0; channel < 3; ++channel) {
-                const float value = a[4 * i + channel], wanted = b[4 * i + channel];
-                const float weighted = std::abs(value - wanted) < limit ? used * value : 0.0F;
-                own_product += weighted * wanted;
-                own_square += weighted * value;
-            }
-        }
-        product += static_cast<double>(own_product);
-        square += static_cast<double>(own_square);
+        Vector products[2] = {}, squares[2] = {};
+        const auto add = [&](const Vector& a, const Vector& b,
+                             std::size_t sum) __attribute__((always_inline)) {
+            const Vector zero = {}, used = spread<3>(a * b);
+            const Vector weighted = absolute(a - b) < zero + limit ? used * a : zero;
+            products[sum] += weighted * b;
+            squares[sum] += weighted * a;
+        };
+        for_pixels(image + 4 * first, query + 4 * first, std::min(BLOCK, count - first), add);
+        product.add(products[0] + products[1]);
+        square.add(squares[0] + squares[1]);
     }
-    return square > 0.0 ? std::clamp(product / square, 1.0 / largest, largest) : 1.0;
+    return square.colours > 0.0
+               ? std::clamp(product.colours / square.colours, 1.0 / largest, largest)
+               : 1.0;
 }
 
 /// Mean squared or limited absolute difference, relative to the largest.
 template <bool ROBUST>
 LFNAV_INLINE double difference_cost(const float* image, const float* query, std::size_t count,
                                     float gain, const CostSettings& settings) {
+    using Vector = FloatVector;
     const float limit = settings.robust_limit;
-    double total = 0.0, covered = 0.0, compared = 0.0;
+    ChannelSums differences, covered, compared;
     for (std::size_t first = 0; first < count; first += BLOCK) {
-        const float *a = image + 4 * first, *b = query + 4 * first;
-        const std::size_t pixels = std::min(BLOCK, count - first);
-        float own = 0.0F, own_covered = 0.0F, own_compared = 0.0F;
-#pragma omp simd reduction(+ : own, own_covered, own_compared)
-        for (std::size_t i = 0; i < pixels; ++i) {
-            const float used = a[4 * i + 3] * b[4 * i + 3];
-            own_covered += used;
-            own_compared += b[4 * i + 3];
-            float difference = 0.0F;
-            for (std::size_t channel = 0; channel < 3; ++channel) {
-                const float error = gain * a[4 * i + channel] - b[4 * i + channel];
-                const float size = std::abs(error);
-                difference += ROBUST ? (size < limit ? size : limit) : error * error;
-            }
-            own += used * difference;
-        }
-        total += static_cast<double>(own);
-        covered += static_cast<double>(own_covered);
-        compared += static_cast<double>(own_compared);
+        Vector own[2] = {}, own_covered[2] = {}, own_compared[2] = {};
+        const auto add = [&](const Vector& a, const Vector& b,
+                             std::size_t sum) __attribute__((always_inline)) {
+            const Vector zero = {}, both = a * b, error = gain * a - b;
+            own_covered[sum] += both;
+            own_compared[sum] += b;
+            own[sum] +=
+                spread<3>(both) * (ROBUST ? smaller(absolute(error), zero + limit) : error * error);
+        };
+        for_pixels(image + 4 * first, query + 4 * first, std::min(BLOCK, count - first), add);
+        differences.add(own[0] + own[1]);
+        covered.add(own_covered[0] + own_covered[1]);
+        compared.add(own_compared[0] + own_compared[1]);
     }
     const double largest = ROBUST ? static_cast<double>(limit) : 255.0 * 255.0;
     const double uncovered = ROBUST ? settings.uncovered_robust : settings.uncovered_squared;
-    total += 3.0 * largest * uncovered * (compared - covered);
-    return total / (3.0 * largest * std::max(compared, 1.0));
+    const double total =
+        differences.colours + 3.0 * largest * uncovered * (compared.fourth - covered.fourth);
+    return total / (3.0 * largest * std::max(compared.fourth, 1.0));
 }
 
 /// (1 - zero-mean normalised cross-correlation) / 2 over all channels together.

@@ -17,74 +17,53 @@
 
 #include "homography.hpp"
 #include "light_field.hpp"
+#include "occlusion.hpp"
+#include "surface.hpp"
 
 namespace lfnav::LFNAV_LEVEL {
-
-/// A pixel that is to be rendered.
-struct RenderedPixel {
-    float x, y, inverse_depth;
-};
 
 /// Around some pixels.
 struct PixelBox {
     static constexpr double LARGEST = std::numeric_limits<double>::infinity();
     double x[2] = {LARGEST, -LARGEST}, y[2] = {LARGEST, -LARGEST}, d[2] = {LARGEST, -LARGEST};
 
-    void add(const RenderedPixel& pixel) {
+    void add(float own_x, float own_y, float inverse_depth) {
         const auto grow = [](double* range, float value) {
             range[0] = std::min(range[0], static_cast<double>(value));
             range[1] = std::max(range[1], static_cast<double>(value));
         };
-        grow(x, pixel.x);
-        grow(y, pixel.y);
-        grow(d, pixel.inverse_depth);
+        grow(x, own_x);
+        grow(y, own_y);
+        grow(d, inverse_depth);
     }
 
     bool is_empty() const { return x[0] > x[1]; }
 };
 
-/// Whether a photo may show a point of a box.
+/// Whether a photo may show a point of a box: whether there is one before the photo's camera, and
+/// one on the inner side of each border of its image.
 inline bool may_show(const Photos& photos, std::size_t photo, const Homography& homography,
                      const PixelBox& box) {
-    const std::int64_t* const size = photos.level_size + 2 * photos.levels * photo;
+    const std::int64_t* const size = photos.size_of(photo);
+    const auto& map = homography.map;
+    const auto& shift = homography.shift;
+    // How far at most points are on the inner side, for distances that are linear in places in the
+    // photo: those to borders are sign times row i of the homography plus margin times the depth.
+    const auto largest = [&](std::size_t i, double sign, double margin) {
+        const auto most = [](double factor, const double* range) {
+            return std::max(factor * range[0], factor * range[1]);
+        };
+        return most(sign * map[3 * i] + margin * map[6], box.x) +
+               most(sign * map[3 * i + 1] + margin * map[7], box.y) +
+               (sign * map[3 * i + 2] + margin * map[8]) +
+               most(sign * shift[i] + margin * shift[2], box.d);
+    };
     const double right = static_cast<double>(size[0]) - 0.5;
     const double bottom = static_cast<double>(size[1]) - 0.5;
-    int behind = 0, left_of = 0, right_of = 0, above = 0, below = 0;
-    for (std::size_t corner = 0; corner < 8; ++corner) {
-        const double x = box.x[corner % 2], y = box.y[corner / 2 % 2], d = box.d[corner / 4];
-        const double u = homography.row(0, x, y, d), v = homography.row(1, x, y, d);
-        const double w = homography.row(2, x, y, d);
-        behind += w <= 0.0 ? 1 : 0;
-        left_of += u < -0.5 * w ? 1 : 0;
-        right_of += u > right * w ? 1 : 0;
-        above += v < -0.5 * w ? 1 : 0;
-        below += v > bottom * w ? 1 : 0;
-    }
-    return std::max({behind, left_of, right_of, above, below}) < 8;
+    return largest(2, 1.0, 0.0) > 0.0 && largest(0, 1.0, 0.5) >= 0.0 &&
+           largest(0, -1.0, right) >= 0.0 && largest(1, 1.0, 0.5) >= 0.0 &&
+           largest(1, -1.0, bottom) >= 0.0;
 }
-
-/// Where a recording centre projects to in the virtual image.
-struct ProjectedCentre {
-    double x, y;
-
-    ProjectedCentre(const double* centre, const VirtualCamera& camera) {
-        // Relative to its distance a centre is at least this deep: projections stay finite.
-        constexpr double SMALLEST_DEPTH = 1e-7;
-        double own[3] = {};
-        for (std::size_t i = 0; i < 3; ++i) {
-            const double offset = centre[i] - camera.pose[4 * i + 3];
-            for (std::size_t j = 0; j < 3; ++j) {
-                own[j] += camera.pose[4 * i + j] * offset;
-            }
-        }
-        const double smallest = std::max(
-            SMALLEST_DEPTH * std::sqrt(own[0] * own[0] + own[1] * own[1] + own[2] * own[2]),
-            1e-300);
-        const double depth = std::abs(own[2]) < smallest ? smallest : own[2];
-        x = camera.fx * own[0] / depth + camera.cx;
-        y = camera.fy * own[1] / depth + camera.cy;
-    }
-};
 
 /// Finds the photos for pixels; memory of it is used again.
 class HoleFilling {
@@ -96,53 +75,57 @@ class HoleFilling {
 
     /// Finds for each uncovered pixel the photo with the nearest projected centre that shows it.
     ///
+    /// @param usable: (N,) which photos may.
     /// @param homography: makes that of a photo, or has it.
-    /// @param pixels: of the image that is made, row by row.
+    /// @param pixels: of the image that is made, row by row, with
+    /// @param inverse_depths: of the surface.
     /// @param image: (P, 4) where the last number is 0, the pixel is not covered.
     template <typename HomographyOf>
-    std::span<const Found> operator()(const Photos& photos, const VirtualCamera& camera,
-                                      HomographyOf homography,
-                                      std::span<const RenderedPixel> pixels, const float* image) {
+    std::span<const Found> operator()(const Photos& photos, const bool* usable,
+                                      const VirtualCamera& camera, HomographyOf homography,
+                                      const Places& pixels, std::span<const float> inverse_depths,
+                                      const float* image) {
         found_.clear();
         candidates_.clear();
         const auto is_hole = [&](std::size_t i) {
-            return image[4 * i + 3] == 0.0F && pixels[i].inverse_depth > 0.0F;
+            return image[4 * i + 3] == 0.0F && inverse_depths[i] > 0.0F;
         };
         PixelBox all;
-        for (std::size_t i = 0; i < pixels.size(); ++i) {
+        for (std::size_t i = 0; i < inverse_depths.size(); ++i) {
             if (is_hole(i)) {
-                all.add(pixels[i]);
+                all.add(pixels.x[i], pixels.y[i], inverse_depths[i]);
             }
         }
         if (all.is_empty()) {
             return {};
         }
         for (std::size_t photo = 0; photo < photos.count; ++photo) {
-            if (photos.usable[photo] && may_show(photos, photo, homography(photo), all)) {
-                candidates_.push_back(photo);
+            if (usable[photo] && may_show(photos, photo, homography(photo), all)) {
+                candidates_.push_back(
+                    {photo, projected_centre(photos.centres + 3 * photo, camera)});
             }
         }
         std::size_t last = 0;
-        while (last < pixels.size() && !candidates_.empty()) {
+        while (last < inverse_depths.size() && !candidates_.empty()) {
             const std::size_t first = last;
             PixelBox box;
-            for (; last < pixels.size() && pixels[last].y == pixels[first].y; ++last) {
+            for (; last < inverse_depths.size() && pixels.y[last] == pixels.y[first]; ++last) {
                 if (is_hole(last)) {
-                    box.add(pixels[last]);
+                    box.add(pixels.x[last], pixels.y[last], inverse_depths[last]);
                 }
             }
             if (box.is_empty()) {
                 continue;
             }
             in_row_.clear();
-            for (const std::size_t photo : candidates_) {
-                if (may_show(photos, photo, homography(photo), box)) {
-                    in_row_.push_back(photo);
+            for (const Candidate& one : candidates_) {
+                if (may_show(photos, one.photo, homography(one.photo), box)) {
+                    in_row_.push_back(one);
                 }
             }
             for (std::size_t i = first; i < last && !in_row_.empty(); ++i) {
                 if (is_hole(i)) {
-                    find(photos, camera, homography, pixels[i], i);
+                    find(photos, homography, pixels.x[i], pixels.y[i], inverse_depths[i], i);
                 }
             }
         }
@@ -150,33 +133,46 @@ class HoleFilling {
     }
 
   private:
+    struct Candidate {
+        std::size_t photo;
+        Point centre;
+    };
+
+    /// One that has something nearer before the pixel's surface point is taken only where all have:
+    /// depth maps are not exact enough to leave holes.
     template <typename HomographyOf>
-    void find(const Photos& photos, const VirtualCamera& camera, HomographyOf homography,
-              const RenderedPixel& pixel, std::size_t number) {
-        const double x = static_cast<double>(pixel.x), y = static_cast<double>(pixel.y);
-        double shortest = std::numeric_limits<double>::infinity();
-        std::size_t nearest = photos.count;
-        for (const std::size_t photo : in_row_) {
-            const Place place =
-                homography(photo).locate(x, y, static_cast<double>(pixel.inverse_depth));
-            if (place.depth <= 0.0 || !is_inside(photos, photo, place)) {
+    void find(const Photos& photos, HomographyOf homography, double x, double y,
+              double inverse_depth, std::size_t number) {
+        // Of those that do not have, and of those that have.
+        double shortest[2] = {PixelBox::LARGEST, PixelBox::LARGEST};
+        std::size_t nearest[2] = {photos.count, photos.count};
+        for (const Candidate& one : in_row_) {
+            const Place place = homography(one.photo).locate(x, y, inverse_depth);
+            if (place.depth <= 0.0 || !is_inside(photos, one.photo, place)) {
                 continue;
             }
-            const ProjectedCentre centre(photos.centres + 3 * photo, camera);
-            const double across = centre.x - x, down = centre.y - y;
+            const double across = one.centre.x - x, down = one.centre.y - y;
             const double distance = across * across + down * down;
-            if (distance < shortest) {
-                shortest = distance;
-                nearest = photo;
+            if (distance >= std::max(shortest[0], shortest[1])) {
+                continue;
+            }
+            const DepthMap map(photos, one.photo, photos.size_of(one.photo));
+            const bool is_hidden =
+                map.hides(static_cast<float>(place.u), static_cast<float>(place.v),
+                          static_cast<float>(inverse_depth / place.depth));
+            if (distance < shortest[is_hidden]) {
+                shortest[is_hidden] = distance;
+                nearest[is_hidden] = one.photo;
             }
         }
-        if (nearest < photos.count) {
-            found_.push_back({number, nearest});
+        const std::size_t best = nearest[nearest[0] == photos.count];
+        if (best < photos.count) {
+            found_.push_back({number, best});
         }
     }
 
     std::vector<Found> found_;
-    std::vector<std::size_t> candidates_, in_row_;
+    std::vector<Candidate> candidates_, in_row_;
 };
 
 }  // namespace lfnav::LFNAV_LEVEL

@@ -1,7 +1,8 @@
-// From virtual pixels to world directions, to the plane, and into photos.
+// From virtual pixels to world directions, and into photos.
 
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
@@ -11,17 +12,14 @@
 
 namespace lfnav::LFNAV_LEVEL {
 
-/// A virtual camera, and the plane that it looks at.
 struct VirtualCamera {
     /// (4, 4) world_from_camera.
     const double* pose;
     double fx, fy, cx, cy;
     /// (3, 3) virtual pixels to world directions whose length along the optical axis is 1.
     double rays[9];
-    /// The plane's inverse depth at column x and row y is right x + down y + start, if positive.
-    double right, down, start;
 
-    VirtualCamera(const double* world_from_camera, const double* intrinsics, const double* plane)
+    VirtualCamera(const double* world_from_camera, const double* intrinsics)
         : pose(world_from_camera),
           fx(intrinsics[0]),
           fy(intrinsics[1]),
@@ -33,24 +31,31 @@ struct VirtualCamera {
             rays[3 * i + 1] = y;
             rays[3 * i + 2] = pose[4 * i + 2] - x * cx - y * cy;
         }
-        double distance = plane[3];
-        for (std::size_t i = 0; i < 3; ++i) {
-            distance += plane[i] * pose[4 * i + 3];
-        }
-        // From behind nothing is seen.
-        const double scale = distance > 0.0 ? -1.0 / distance : 0.0;
-        right = scale * (plane[0] * rays[0] + plane[1] * rays[3] + plane[2] * rays[6]);
-        down = scale * (plane[0] * rays[1] + plane[1] * rays[4] + plane[2] * rays[7]);
-        start = scale * (plane[0] * rays[2] + plane[1] * rays[5] + plane[2] * rays[8]);
-    }
-
-    LFNAV_INLINE float inverse_depth(double x, double y) const {
-        const double value = right * x + down * y + start;
-        return static_cast<float>(value > 0.0 ? value : 0.0);
     }
 
     double focal() const { return 0.5 * (fx + fy); }
 };
+
+struct Point {
+    double x, y;
+};
+
+/// Where a recording centre projects to in the virtual image, whichever side of it it is on.
+inline Point projected_centre(const double* centre, const VirtualCamera& camera) {
+    // Relative to its distance a centre is at least this deep: projections stay finite.
+    constexpr double SMALLEST_DEPTH = 1e-7;
+    double own[3] = {};
+    for (std::size_t i = 0; i < 3; ++i) {
+        const double offset = centre[i] - camera.pose[4 * i + 3];
+        for (std::size_t j = 0; j < 3; ++j) {
+            own[j] += camera.pose[4 * i + j] * offset;
+        }
+    }
+    const double smallest = std::max(
+        SMALLEST_DEPTH * std::sqrt(own[0] * own[0] + own[1] * own[1] + own[2] * own[2]), 1e-300);
+    const double depth = std::abs(own[2]) < smallest ? smallest : own[2];
+    return {camera.fx * own[0] / depth + camera.cx, camera.fy * own[1] / depth + camera.cy};
+}
 
 /// A place in a photo, and the depth of what is there, relative to the virtual one.
 struct Place {
@@ -105,7 +110,7 @@ struct Homography {
 
 /// Whether a place is inside a photo's image.
 inline bool is_inside(const Photos& photos, std::size_t photo, const Place& place) {
-    const std::int64_t* const size = photos.level_size + 2 * photos.levels * photo;
+    const std::int64_t* const size = photos.size_of(photo);
     return place.u >= -0.5 && place.u <= static_cast<double>(size[0]) - 0.5 && place.v >= -0.5 &&
            place.v <= static_cast<double>(size[1]) - 0.5;
 }

@@ -25,6 +25,22 @@ struct Photos {
     const double* focal;
     /// (N,) which photos may take part.
     const bool* usable;
+    /// (N, 3, 3) homogeneous pixels of level 0 to world directions, of length 1 along the axis.
+    const double* rays;
+    /// All depth maps: 1 / metres, where each begins, and (N, 2) width and height, 0: none.
+    const float* inverse_depth;
+    const std::int64_t *depth_start, *depth_size;
+    /// The largest inverse depths in squares of them, and where each map's begin.
+    static constexpr std::int64_t POOLING = 4;
+    const float* pooled;
+    const std::int64_t* pooled_start;
+    /// Whether any photo has a depth map.
+    bool has_depth;
+    /// By so much something has to be nearer than a point to hide it.
+    float occlusion_factor;
+
+    /// (2,) width and height of a photo's finest level.
+    const std::int64_t* size_of(std::size_t photo) const { return level_size + 2 * levels * photo; }
 };
 
 /// The usable photos, and the groups that neighbours form; see ViewIndex in

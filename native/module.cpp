@@ -7,10 +7,11 @@
 
 #include "alignment_binding.hpp"
 #include "brightness_binding.hpp"
+#include "delaunay_binding.hpp"
 #include "depth_binding.hpp"
 #include "instruction_set.hpp"
 #include "mixture_density_binding.hpp"
-#include "plane_renderer_binding.hpp"
+#include "renderer_binding.hpp"
 
 namespace {
 
@@ -39,7 +40,8 @@ NB_MODULE(native, module) {
         "Name of the processor's level, of those that the core is compiled for.");
     lfnav::bind_alignment(module);
     lfnav::bind_brightness(module);
+    lfnav::bind_delaunay(module);
     lfnav::bind_depth(module);
     lfnav::bind_mixture_density(module);
-    lfnav::bind_plane_renderer(module);
+    lfnav::bind_renderer(module);
 }

@@ -55,26 +55,38 @@ struct Outlook {
     std::int32_t row[POINTS];
 };
 
+/// Whether a photo has something nearer before a point.
+inline bool is_hidden(const Photos& photos, std::size_t photo, float u, float v, float depth) {
+    const float inverse_depth = 1.0F / depth;
+    return DepthMap(photos, photo, photos.size_of(photo))
+        .hides(u * inverse_depth, v * inverse_depth, inverse_depth);
+}
+
 /// Puts the best of a group's photos there if none before it was as good at a point.
-LFNAV_INLINE void look_at_group(const SurfacePoints& points, const PhotoIndex& index,
-                                std::size_t group, const PenaltySettings& settings,
-                                std::size_t place, Outlook& best) {
+inline void look_at_group(const SurfacePoints& points, const Photos& photos,
+                          const PhotoIndex& index, std::size_t group,
+                          const PenaltySettings& settings, std::size_t place, Outlook& best) {
     using Vector = FloatVector;
     constexpr std::size_t PHOTOS = PhotoIndex::GROUP_PHOTOS;
     const float* const numbers = index.blocks + PhotoIndex::PHOTO_NUMBERS * PHOTOS * group;
     const auto point = PointVector<Vector>::repeated(points, place);
-    alignas(64) float penalties[PHOTOS];
+    alignas(64) float penalties[PHOTOS], u[PHOTOS], v[PHOTOS], depth[PHOTOS];
     for (std::size_t i = 0; i < PHOTOS; i += BYTES / sizeof(float)) {
         const auto number = [&](std::size_t row) __attribute__((always_inline)) {
             return loaded<Vector>(numbers + PHOTOS * row + i);
         };
-        store(penalty_of(point, number, settings), penalties + i);
+        const Sight<Vector> sight = sight_of(point, number, settings);
+        store(sight.penalty, penalties + i);
+        store(sight.u, u + i);
+        store(sight.v, v + i);
+        store(sight.depth, depth + i);
     }
     for (std::size_t i = 0; i < PHOTOS; ++i) {
         const float own = penalties[i], before = best.penalty[place];
         const std::int32_t row = index.members[PHOTOS * group + i];
         // Of equal ones the first of all stays. Infinity stands for what is not shown.
-        if (own < before || (own == before && row < best.row[place])) {
+        if ((own < before || (own == before && row < best.row[place])) &&
+            !is_hidden(photos, static_cast<std::size_t>(index.order[row]), u[i], v[i], depth[i])) {
             best.penalty[place] = own;
             best.row[place] = row;
         }
@@ -84,8 +96,8 @@ LFNAV_INLINE void look_at_group(const SurfacePoints& points, const PhotoIndex& i
 /// Finds the photo with the smallest penalty at each point.
 ///
 /// @param bounds: (G, POINTS) overwritten.
-LFNAV_INLINE void look_out(const SurfacePoints& points, const PhotoIndex& index,
-                           const PenaltySettings& settings, float* bounds, Outlook& best) {
+inline void look_out(const SurfacePoints& points, const Photos& photos, const PhotoIndex& index,
+                     const PenaltySettings& settings, float* bounds, Outlook& best) {
     float promised[POINTS];
     std::size_t most_promising[POINTS];
     for (std::size_t i = 0; i < POINTS; ++i) {
@@ -105,14 +117,14 @@ LFNAV_INLINE void look_out(const SurfacePoints& points, const PhotoIndex& index,
     // The most promising ones first spare a look at most others.
     for (std::size_t i = 0; i < POINTS; ++i) {
         if (most_promising[i] < index.groups) {
-            look_at_group(points, index, most_promising[i], settings, i, best);
+            look_at_group(points, photos, index, most_promising[i], settings, i, best);
         }
     }
     for (std::size_t group = 0; group < index.groups; ++group) {
         for (std::size_t i = 0; i < POINTS; ++i) {
             // As good a one may stand before the best in the index.
             if (bounds[POINTS * group + i] <= best.penalty[i] && most_promising[i] != group) {
-                look_at_group(points, index, group, settings, i, best);
+                look_at_group(points, photos, index, group, settings, i, best);
             }
         }
     }

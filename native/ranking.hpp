@@ -12,8 +12,9 @@
 #include "homography.hpp"
 #include "level.hpp"
 #include "light_field.hpp"
-#include "plane_views.hpp"
+#include "occlusion.hpp"
 #include "simd.hpp"
+#include "virtual_views.hpp"
 
 namespace lfnav::LFNAV_LEVEL {
 
@@ -38,7 +39,8 @@ struct BestPhotos {
 };
 
 LFNAV_INLINE void set_points(const VirtualCamera& camera, const double* origin,
-                             const float* columns, const float* rows, SurfacePoints& points) {
+                             const float* columns, const float* rows, const float* inverse_depths,
+                             SurfacePoints& points) {
     // Metres; what lies beyond is taken to be as far away as this: single precision ends somewhere.
     constexpr double FARTHEST = 1e7;
     const double* const r = camera.rays;
@@ -46,11 +48,10 @@ LFNAV_INLINE void set_points(const VirtualCamera& camera, const double* origin,
                  r7 = r[7], r8 = r[8];
     const double cx = camera.pose[3] - origin[0], cy = camera.pose[7] - origin[1],
                  cz = camera.pose[11] - origin[2];
-    const double right = camera.right, down = camera.down, start = camera.start;
 #pragma omp simd
     for (std::size_t i = 0; i < POINTS; ++i) {
         const double x = static_cast<double>(columns[i]), y = static_cast<double>(rows[i]);
-        const double inverse_depth = right * x + down * y + start;
+        const auto inverse_depth = static_cast<double>(inverse_depths[i]);
         const double bounded = inverse_depth > 1.0 / FARTHEST ? inverse_depth : 1.0 / FARTHEST;
         const double distance =
             inverse_depth > 0.0 ? 1.0 / bounded : std::numeric_limits<double>::quiet_NaN();
@@ -108,12 +109,17 @@ struct Deviation {
     }
 };
 
-/// The penalty of a photo at a point; infinite where it does not show the point.
-///
+/// What a photo has of a point: its penalty, infinite where the photo does not show the point; and
+/// where the point is in it, columns and rows times the depth.
+template <typename Vector>
+struct Sight {
+    Vector penalty, u, v, depth;
+};
+
 /// @param number: gives the photo's numbers, see PhotoIndex, as vectors.
 template <typename Vector, typename NumberAt>
-LFNAV_INLINE Vector penalty_of(const PointVector<Vector>& point, NumberAt number,
-                               const PenaltySettings& settings) {
+LFNAV_INLINE Sight<Vector> sight_of(const PointVector<Vector>& point, NumberAt number,
+                                    const PenaltySettings& settings) {
     const Vector zero = {};
     const auto row = [&](std::size_t first) __attribute__((always_inline)) {
         return number(first) * point.x + number(first + 1) * point.y +
@@ -130,14 +136,24 @@ LFNAV_INLINE Vector penalty_of(const PointVector<Vector>& point, NumberAt number
     const Vector near_border = strip / larger(margin, settings.smallest_margin * strip) - 1.0F;
     const Vector penalty =
         from.chord + settings.resolution * coarser + settings.border * larger(near_border, zero);
-    return (depth > zero) & (margin >= zero) ? penalty : zero + NEVER;
+    return {(depth > zero) & (margin >= zero) ? penalty : zero + NEVER, u, v, depth};
+}
+
+/// A photo's penalties without those of points before which it has something nearer.
+LFNAV_INLINE FloatVector without_hidden(const Sight<FloatVector>& sight, const DepthMap& map) {
+    const FloatVector zero = {}, inverse_depth = 1.0F / sight.depth;
+    const IntegerVector is_hidden =
+        map.hides(sight.u * inverse_depth, sight.v * inverse_depth, inverse_depth);
+    return is_hidden != 0 ? zero + NEVER : sight.penalty;
 }
 
 /// Finds the photos with the smallest penalties; of equal ones the first stays.
 ///
+/// @tparam MAY_BE_HIDDEN: whether depth maps may hide the points.
 /// @param rows: those of the index that are ranked, rising.
-LFNAV_INLINE void rank_photos(const SurfacePoints& points, const PhotoIndex& index,
-                              const std::int32_t* rows, std::size_t count,
+template <bool MAY_BE_HIDDEN>
+LFNAV_INLINE void rank_photos(const SurfacePoints& points, const Photos& photos,
+                              const PhotoIndex& index, const std::int32_t* rows, std::size_t count,
                               const PenaltySettings& settings, BestPhotos& best) {
     using Vector = FloatVector;
     using Integers = IntegerVector;
@@ -153,7 +169,16 @@ LFNAV_INLINE void rank_photos(const SurfacePoints& points, const PhotoIndex& ind
             const auto repeated = [&](std::size_t place) __attribute__((always_inline)) {
                 return zero + numbers[place];
             };
-            const Vector own = penalty_of(point, repeated, settings);
+            const Sight<Vector> sight = sight_of(point, repeated, settings);
+            Vector own = sight.penalty;
+            if constexpr (MAY_BE_HIDDEN) {
+                // Where it is none of the best, nobody needs to know.
+                if (any_of(own < p3)) {
+                    const auto photo = static_cast<std::size_t>(index.order[row]);
+                    const DepthMap map(photos, photo, photos.size_of(photo));
+                    own = map.is_there ? without_hidden(sight, map) : own;
+                }
+            }
             const Integers photo = none + index.order[row];
             const auto b0 = own < p0, b1 = own < p1, b2 = own < p2, b3 = own < p3;
             v3 = b2 ? v2 : (b3 ? photo : v3);
@@ -166,10 +191,10 @@ LFNAV_INLINE void rank_photos(const SurfacePoints& points, const PhotoIndex& ind
             p0 = smaller(p0, own);
         }
         const Vector penalties[RANKS] = {p0, p1, p2, p3};
-        const Integers photos[RANKS] = {v0, v1, v2, v3};
+        const Integers numbers[RANKS] = {v0, v1, v2, v3};
         for (std::size_t rank = 0; rank < RANKS; ++rank) {
             store(penalties[rank], best.penalty[rank] + i);
-            store(photos[rank], best.photo[rank] + i);
+            store(numbers[rank], best.photo[rank] + i);
         }
     }
 }

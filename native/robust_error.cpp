@@ -20,28 +20,9 @@ struct Pixels {
     using Vector = FloatVector;
     static constexpr std::size_t FLOATS = BYTES / sizeof(float);
 
-    /// @param floats: at most FLOATS; what is behind them counts as zeros.
-    LFNAV_INLINE static Vector loaded(const float* from, std::size_t floats) {
-        Vector result = {};
-        std::memcpy(&result, from, floats * sizeof(float));
-        return result;
-    }
-
-    /// Each pixel's fourth channel in all of its channels.
-    LFNAV_INLINE static Vector fourth_channels(Vector pixels) {
-#if defined(__AVX512F__)
-        return __builtin_shufflevector(pixels, pixels, 3, 3, 3, 3, 7, 7, 7, 7, 11, 11, 11, 11, 15,
-                                       15, 15, 15);
-#elif defined(__AVX2__)
-        return __builtin_shufflevector(pixels, pixels, 3, 3, 3, 3, 7, 7, 7, 7);
-#else
-        return __builtin_shufflevector(pixels, pixels, 3, 3, 3, 3);
-#endif
-    }
-
     /// What pixels cost, relative to the largest loss; in the fourth channel it means nothing.
     LFNAV_INLINE static Vector losses(Vector view, Vector target, const ScaledPhotometry& scaled) {
-        const Vector compared = fourth_channels(target), seen = compared * fourth_channels(view);
+        const Vector compared = spread<3>(target), seen = compared * spread<3>(view);
         const Vector error = scaled.gain * view + scaled.offset - scaled.scale * target;
         const Vector rest = 1.0F - error * error, zero = {};
         const Vector inside = rest > zero ? rest : zero;
@@ -70,21 +51,21 @@ struct MeanLoss {
             std::size_t i = 0;
             for (; i + SUMS * FLOATS <= end; i += SUMS * FLOATS) {
                 for (std::size_t k = 0; k < SUMS; ++k) {
-                    const Vector a = Some::loaded(rendered + i + k * FLOATS, FLOATS);
-                    const Vector b = Some::loaded(wanted + i + k * FLOATS, FLOATS);
+                    const Vector a = loaded<Vector>(rendered + i + k * FLOATS);
+                    const Vector b = loaded<Vector>(wanted + i + k * FLOATS);
                     losses[k] += Some::losses(a, b, scaled);
                     compared += b;
                 }
             }
             for (; i + FLOATS <= end; i += FLOATS) {
-                const Vector a = Some::loaded(rendered + i, FLOATS);
-                const Vector b = Some::loaded(wanted + i, FLOATS);
+                const Vector a = loaded<Vector>(rendered + i);
+                const Vector b = loaded<Vector>(wanted + i);
                 losses[0] += Some::losses(a, b, scaled);
                 compared += b;
             }
             if (i < end) {
-                const Vector a = Some::loaded(rendered + i, end - i);
-                const Vector b = Some::loaded(wanted + i, end - i);
+                const Vector a = loaded(rendered + i, end - i);
+                const Vector b = loaded(wanted + i, end - i);
                 losses[0] += Some::losses(a, b, scaled);
                 compared += b;
             }

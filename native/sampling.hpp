@@ -18,11 +18,13 @@
 #include "homography.hpp"
 #include "level.hpp"
 #include "light_field.hpp"
+#include "occlusion.hpp"
+#include "simd.hpp"
 
 namespace lfnav::LFNAV_LEVEL {
 
 /// Chunks have at most CHUNK pixels, and are filled up to a multiple of what is worked on at once.
-constexpr std::size_t CHUNK = 128, TOGETHER = 16, CHUNK_LENGTH = CHUNK + TOGETHER;
+constexpr std::size_t CHUNK = 128, CHUNK_LENGTH = CHUNK + TOGETHER;
 
 /// Some pixels of a virtual image, and what a photo has to do with them.
 struct PixelChunk {
@@ -35,6 +37,9 @@ struct PixelChunk {
     /// the upper and the lower texels.
     alignas(64) std::int32_t texel[CHUNK_LENGTH];
     alignas(64) float fraction[CHUNK_LENGTH], upper[CHUNK_LENGTH], lower[CHUNK_LENGTH];
+    /// Where in the level the surface points are, and their inverse depths in the photo, if it may
+    /// have something before them.
+    alignas(64) float column[CHUNK_LENGTH], row[CHUNK_LENGTH], photo_inverse_depth[CHUNK_LENGTH];
 };
 
 /// From the virtual pixel to a pyramid level of a photo: coefficients of x, y, 1 and inverse depth.
@@ -54,7 +59,9 @@ struct SampleCounts {
 /// weight 0.
 ///
 /// @param count: a multiple of TOGETHER.
+/// @tparam KEEPS_POINTS: whether places in the level and inverse depths in the photo are kept.
 /// @return how many the photo shows on this level, and how many on others.
+template <bool KEEPS_POINTS>
 LFNAV_INLINE SampleCounts place_samples(PixelChunk& chunk, std::size_t count,
                                         const LevelMap& level) {
     const float u0 = level.u[0], u1 = level.u[1], u2 = level.u[2], u3 = level.u[3];
@@ -79,6 +86,11 @@ LFNAV_INLINE SampleCounts place_samples(PixelChunk& chunk, std::size_t count,
         elsewhere += (is_shown ? 1 : 0) - (is_here ? 1 : 0);
         const float weight = is_here ? chunk.weight[i] : 0.0F;
         const float column = is_here ? u : 0.0F, row = is_here ? v : 0.0F;
+        if constexpr (KEEPS_POINTS) {
+            chunk.column[i] = column;
+            chunk.row[i] = row;
+            chunk.photo_inverse_depth[i] = d * reciprocal;
+        }
         const float inner_x = column > 0.0F ? column : 0.0F, inner_y = row > 0.0F ? row : 0.0F;
         const float at_x = inner_x < last_x ? inner_x : last_x;
         const float at_y = inner_y < last_y ? inner_y : last_y;
@@ -113,6 +125,13 @@ LFNAV_INLINE TexelPair two_texels(const std::uint8_t* from) {
 #endif
 }
 
+/// Bilinear: between the left and the right one of two texels.
+LFNAV_INLINE Texel between(const TexelPair& texels, float fraction) {
+    const Texel left = __builtin_shufflevector(texels, texels, 0, 1, 2, 3);
+    const Texel right = __builtin_shufflevector(texels, texels, 4, 5, 6, 7);
+    return left + (right - left) * fraction;
+}
+
 /// Adds a chunk's weighted colours to its pixels.
 ///
 /// @param texels: of the level.
@@ -123,13 +142,24 @@ LFNAV_INLINE void add_samples(const PixelChunk& chunk, std::size_t count,
         const std::uint8_t* const upper = texels + 4 * static_cast<std::size_t>(chunk.texel[i]);
         const TexelPair column =
             two_texels(upper) * chunk.upper[i] + two_texels(upper + 4 * width) * chunk.lower[i];
-        const Texel left = __builtin_shufflevector(column, column, 0, 1, 2, 3);
-        const Texel right = __builtin_shufflevector(column, column, 4, 5, 6, 7);
         float* const sums = image + 4 * static_cast<std::size_t>(chunk.pixel[i]);
         Texel total;
         std::memcpy(&total, sums, sizeof total);
-        total = total + left + (right - left) * chunk.fraction[i];
+        total = total + between(column, chunk.fraction[i]);
         std::memcpy(sums, &total, sizeof total);
+    }
+}
+
+/// Takes the weights of points before which a photo has something nearer.
+LFNAV_INLINE void leave_out_hidden(const DepthMap& map, PixelChunk& chunk, std::size_t count) {
+    using Vector = FloatVector;
+    const Vector zero = {};
+    for (std::size_t i = 0; map.is_there && i < count; i += BYTES / sizeof(float)) {
+        const auto is_hidden =
+            map.hides(loaded<Vector>(chunk.column + i), loaded<Vector>(chunk.row + i),
+                      loaded<Vector>(chunk.photo_inverse_depth + i));
+        store(is_hidden != 0 ? zero : loaded<Vector>(chunk.upper + i), chunk.upper + i);
+        store(is_hidden != 0 ? zero : loaded<Vector>(chunk.lower + i), chunk.lower + i);
     }
 }
 
@@ -138,9 +168,11 @@ LFNAV_INLINE void add_samples(const PixelChunk& chunk, std::size_t count,
 ///
 /// What is behind the chunk's pixels is overwritten.
 ///
+/// @tparam MAY_BE_HIDDEN: whether points do not count before which the photo has something nearer.
 /// @param focal: of the virtual camera, pixels.
-LFNAV_INLINE void blend_chunk(const Photos& photos, std::size_t photo, const Homography& homography,
-                              double focal, PixelChunk& chunk, std::size_t count, float* image) {
+template <bool MAY_BE_HIDDEN>
+void blend_chunk(const Photos& photos, std::size_t photo, const Homography& homography,
+                 double focal, PixelChunk& chunk, std::size_t count, float* image) {
     const std::size_t filled = (count + TOGETHER - 1) / TOGETHER * TOGETHER;
     for (std::size_t i = 0; i < TOGETHER; ++i) {
         chunk.weight[count + i] = 0.0F;
@@ -153,7 +185,7 @@ LFNAV_INLINE void blend_chunk(const Photos& photos, std::size_t photo, const Hom
     const auto border = [&](std::size_t level) {
         return nearest / static_cast<float>(std::uint64_t{1} << level);
     };
-    const std::int64_t* const sizes = photos.level_size + 2 * photos.levels * photo;
+    const std::int64_t* const sizes = photos.size_of(photo);
     // Most chunks need one level, that of their first pixel; others are gone through.
     std::size_t guess = 0;
     while (guess + 1 < photos.levels && first_depth <= border(guess + 1)) {
@@ -179,8 +211,11 @@ LFNAV_INLINE void blend_chunk(const Photos& photos, std::size_t photo, const Hom
         level.width = static_cast<std::int32_t>(sizes[2 * number]);
         level.nearest = number + 1 < photos.levels ? border(number + 1) : 0.0F;
         level.farthest = number > 0 ? border(number) : INFINITY;
-        const SampleCounts found = place_samples(chunk, filled, level);
+        const SampleCounts found = place_samples<MAY_BE_HIDDEN>(chunk, filled, level);
         if (found.here > 0) {
+            if constexpr (MAY_BE_HIDDEN) {
+                leave_out_hidden(DepthMap(photos, photo, sizes + 2 * number), chunk, filled);
+            }
             const auto start =
                 static_cast<std::size_t>(photos.level_start[photos.levels * photo + number]);
             add_samples(chunk, count, photos.texels + 4 * start,

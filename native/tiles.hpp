@@ -1,4 +1,4 @@
-// Tiles of the virtual image, each with some photos and weights that are bilinear in the pixel.
+// Tiles of the virtual image, whose photos are the best at their corners.
 
 #pragma once
 
@@ -11,75 +11,86 @@
 #include "level.hpp"
 #include "light_field.hpp"
 #include "outlook.hpp"
-#include "plane_views.hpp"
 #include "ranking.hpp"
+#include "regions.hpp"
+#include "surface.hpp"
+#include "virtual_views.hpp"
 
 namespace lfnav::LFNAV_LEVEL {
-
-/// Photos that are blended in a tile: those of its four corners.
-constexpr std::size_t MOST_BLENDED = 4 * SHARING;
-
-/// A tile's photos and the weights a x + b y + c + d x y of each, from its upper left corner.
-struct Tile {
-    std::size_t count;
-    std::int32_t photo[MOST_BLENDED];
-    float a[MOST_BLENDED], b[MOST_BLENDED], c[MOST_BLENDED], d[MOST_BLENDED];
-};
 
 /// The tiles of virtual images of one size; made once for many of them.
 class Tiling {
   public:
-    /// @param most_ranked: more photos are narrowed down to the best at the outlook's points.
-    Tiling(const Grid& grid, const PhotoIndex& index, std::size_t most_ranked)
-        : grid_(grid),
-          most_ranked_(most_ranked),
-          all_rows_(index.count),
-          bounds_(POINTS * index.groups),
-          tiles_((grid.across.size() - 1) * (grid.down.size() - 1)) {
-        for (std::size_t row = 0; row < index.count; ++row) {
+    Tiling(const LightField& field, const VirtualViews& views, const Middle& middle,
+           const Surface& surface)
+        : field_(field),
+          grid_(views.grid),
+          all_rows_(field.index.count),
+          bounds_(POINTS * field.index.groups),
+          tiles_((grid_.across.size() - 1) * (grid_.down.size() - 1)),
+          pixels_(views.pixels.size()),
+          outlook_(POINTS),
+          corners_((grid_.across.size() * grid_.down.size() + POINTS - 1) / POINTS * POINTS),
+          inverse_depths_(corners_.count()),
+          photos_(SHARING * corners_.count()),
+          weights_(SHARING * corners_.count()) {
+        for (std::size_t row = 0; row < all_rows_.size(); ++row) {
             all_rows_[row] = static_cast<std::int32_t>(row);
         }
+        const Grid& grid = grid_;
         for (std::size_t i = 0; i < POINTS; ++i) {
             const std::size_t side = grid.outlook_across.size();
-            outlook_columns_[i] = static_cast<float>(grid.outlook_across[i % side]);
-            outlook_rows_[i] = static_cast<float>(grid.outlook_down[i / side]);
+            outlook_.x[i] = static_cast<float>(grid.outlook_across[i % side]);
+            outlook_.y[i] = static_cast<float>(grid.outlook_down[i / side]);
         }
-        for (const std::int64_t y : grid.down) {
-            for (const std::int64_t x : grid.across) {
-                columns_.push_back(static_cast<float>(x));
-                rows_.push_back(static_cast<float>(y));
-            }
+        const std::size_t corners = grid.across.size() * grid.down.size();
+        for (std::size_t i = 0; i < corners_.count(); ++i) {
+            // The last corner stands for those that are not there.
+            const std::size_t corner = std::min(i, corners - 1);
+            corners_.x[i] = static_cast<float>(grid.across[corner % grid.across.size()]);
+            corners_.y[i] = static_cast<float>(grid.down[corner / grid.across.size()]);
         }
-        // The last corner stands for those that are not there.
-        const std::size_t filled = (columns_.size() + POINTS - 1) / POINTS * POINTS;
-        columns_.resize(filled, columns_.back());
-        rows_.resize(filled, rows_.back());
-        photos_.resize(SHARING * filled);
-        weights_.resize(SHARING * filled);
+        surface.prepare(outlook_);
+        surface.prepare(corners_);
+        order_pixels(views, middle);
     }
 
-    std::size_t across() const { return grid_.across.size() - 1; }
-    const Grid& grid() const { return grid_; }
-    std::span<const Tile> tiles() const { return tiles_; }
+    std::span<const Region> regions() const { return tiles_; }
+    const RegionPixels& pixels() const { return pixels_; }
+    /// (N,) photos that may show what those of a tile do not.
+    const bool* candidates() const { return field_.photos.usable; }
 
     /// Chooses the photos of all tiles for a virtual camera, and their weights.
-    LFNAV_INLINE void choose(const VirtualCamera& camera, const PhotoIndex& index,
-                             const PenaltySettings& settings) {
+    ///
+    /// @param surface: as it sees it.
+    template <typename HomographyOf>
+    void choose(const VirtualCamera& camera, const Surface& surface, HomographyOf) {
+        const PhotoIndex& index = field_.index;
+        const PenaltySettings& settings = field_.penalties;
         SurfacePoints points;
         const std::int32_t* rows = all_rows_.data();
         std::size_t count = index.count;
         std::int32_t few_rows[POINTS];
-        if (count > most_ranked_) {
+        if (count > field_.most_ranked) {
+            float inverse_depths[POINTS];
             Outlook outlook;
-            set_points(camera, index.origin, outlook_columns_, outlook_rows_, points);
-            look_out(points, index, settings, bounds_.data(), outlook);
+            surface.set_inverse_depths(outlook_, inverse_depths);
+            set_points(camera, index.origin, outlook_.x.data(), outlook_.y.data(), inverse_depths,
+                       points);
+            look_out(points, field_.photos, index, settings, bounds_.data(), outlook);
             rows = few_rows;
             count = distinct_rows(outlook, few_rows);
         }
+        surface.set_inverse_depths(corners_, inverse_depths_.data());
         BestPhotos best;
-        for (std::size_t first = 0; first < columns_.size(); first += POINTS) {
-            set_points(camera, index.origin, columns_.data() + first, rows_.data() + first, points);
-            rank_photos(points, index, rows, count, settings, best);
+        for (std::size_t first = 0; first < corners_.count(); first += POINTS) {
+            set_points(camera, index.origin, corners_.x.data() + first, corners_.y.data() + first,
+                       inverse_depths_.data() + first, points);
+            if (field_.photos.has_depth) {
+                rank_photos<true>(points, field_.photos, index, rows, count, settings, best);
+            } else {
+                rank_photos<false>(points, field_.photos, index, rows, count, settings, best);
+            }
             set_shares(best, settings, weights_.data() + SHARING * first);
             std::copy_n(&best.photo[0][0], SHARING * POINTS, photos_.data() + SHARING * first);
         }
@@ -91,8 +102,54 @@ class Tiling {
     }
 
   private:
+    std::size_t across() const { return grid_.across.size() - 1; }
+
+    /// Sorts the pixels by the tiles that they are in, and sets where these begin.
+    void order_pixels(const VirtualViews& views, const Middle& middle) {
+        for (std::size_t i = 0; i < tiles_.size(); ++i) {
+            tiles_[i].left = static_cast<float>(grid_.across[i % across()] - middle.x);
+            tiles_[i].top = static_cast<float>(grid_.down[i / across()] - middle.y);
+        }
+        // In which tile each column, or row, is.
+        const auto tiles_along = [](std::span<const std::int64_t> borders, std::size_t length) {
+            std::vector<std::size_t> result(length);
+            for (std::size_t i = 0, tile = 0; i < length; result[i++] = tile) {
+                while (tile + 2 < borders.size() &&
+                       borders[tile + 1] <= static_cast<std::int64_t>(i)) {
+                    ++tile;
+                }
+            }
+            return result;
+        };
+        const auto columns = tiles_along(grid_.across, views.width);
+        const auto rows = tiles_along(grid_.down, views.height);
+        std::vector<std::size_t> tiles(views.pixels.size());
+        pixels_.starts.resize(tiles_.size() + 1);
+        const auto width = static_cast<std::uint32_t>(views.width);
+        const auto column = [&](std::size_t i) {
+            return static_cast<std::uint32_t>(views.pixels[i]) % width;
+        };
+        const auto row = [&](std::size_t i) {
+            return static_cast<std::uint32_t>(views.pixels[i]) / width;
+        };
+        for (std::size_t i = 0; i < tiles.size(); ++i) {
+            tiles[i] = rows[row(i)] * across() + columns[column(i)];
+            ++pixels_.starts[tiles[i] + 1];
+        }
+        for (std::size_t tile = 0; tile < tiles_.size(); ++tile) {
+            pixels_.starts[tile + 1] += pixels_.starts[tile];
+        }
+        std::vector<std::size_t> ends(pixels_.starts.begin(), pixels_.starts.end() - 1);
+        for (std::size_t i = 0; i < tiles.size(); ++i) {
+            const std::size_t place = ends[tiles[i]]++;
+            pixels_.x[place] = static_cast<float>(static_cast<std::int32_t>(column(i)) - middle.x);
+            pixels_.y[place] = static_cast<float>(static_cast<std::int32_t>(row(i)) - middle.y);
+            pixels_.place[place] = static_cast<std::int32_t>(i);
+        }
+    }
+
     /// Sets a tile from the photos of its corners.
-    LFNAV_INLINE void join_corners(std::size_t row, std::size_t column, Tile& tile) const {
+    LFNAV_INLINE void join_corners(std::size_t row, std::size_t column, Region& tile) const {
         const std::size_t corners = grid_.across.size();
         float at_corner[4][MOST_BLENDED + 1] = {};
         std::size_t count = 0;
@@ -130,13 +187,15 @@ class Tiling {
         }
     }
 
+    LightField field_;
     Grid grid_;
-    std::size_t most_ranked_;
     std::vector<std::int32_t> all_rows_;
     std::vector<float> bounds_;
-    std::vector<Tile> tiles_;
-    float outlook_columns_[POINTS], outlook_rows_[POINTS];
-    std::vector<float> columns_, rows_;
+    std::vector<Region> tiles_;
+    RegionPixels pixels_;
+    /// More photos than are ranked are narrowed down to the best at the outlook's points.
+    Places outlook_, corners_;
+    std::vector<float> inverse_depths_;
     std::vector<std::int32_t> photos_;
     std::vector<float> weights_;
 };

@@ -104,6 +104,45 @@ def normal_equations(
         each tile (tiles, D + 2).
     """
 
+def delaunay_triangles(points: FloatArray, smallest_area: float) -> Int32Array:
+    """Delaunay triangulation of distinct points.
+
+    Args:
+        points: (N, 2).
+        smallest_area: a triangle flatter than this share of the square of its longest side counts
+            as a line.
+
+    Returns:
+        (t, 3) corners of the triangles, counter-clockwise where y points up; and for each edge of
+        the hull, which is on its right, two corners and -1. Empty where all points lie on a line.
+    """
+
+def delaunay_meshes(
+    poses: FloatArray,
+    intrinsics: FloatArray,
+    width: int,
+    height: int,
+    centres: FloatArray,
+    takes_part: BoolArray,
+    limits: FloatArray,
+) -> tuple[Int32Array, Float32Array, Int32Array, int]:
+    """Delaunay meshes of recording centres in virtual images; see ``net``.
+
+    Args:
+        poses: (B, 4, 4) world_from_camera.
+        intrinsics: (4,) fx, fy, cx, cy.
+        width: of the images, and
+        height: of them.
+        centres: (N, 3).
+        takes_part: (B, N) which of them are in each mesh.
+        limits: (4,) ``MESH_LIMITS``.
+
+    Returns:
+        Photos (B, R, 3) of up to R regions of each image, -1: none; their weights (B, R, 3, 4),
+        coefficients of x, y, 1 and x y from the image's middle; each pixel's region (B, H, W), -1
+        where there is no mesh; and the number of regions of the mesh that has most.
+    """
+
 def plane_sweep(
     reference: ImageArray,
     photos: Sequence[ImageArray],
@@ -212,19 +251,30 @@ def log_mixture_density(
         (M,); -inf where all weights are 0.
     """
 
-class PlaneScene:
-    """A light field whose surface is a plane, rendered as an unstructured lumigraph.
+class DepthSamples:
+    """What is projected into virtual images of some photos' depth maps; ``LightField`` makes it."""
+
+    def count(self) -> int:
+        """How many samples these are."""
+
+class LightField:
+    """A light field, rendered over a plane or depth maps.
 
     Keeps its arrays, which are checked once; what is in them must not be changed.
 
     Args:
-        texels: (T, 4) of the photos' pyramids, see ``ViewArrays``, as level_start, level_size,
-            projection, centres and focal.
+        texels: (T, 4) of the photos' pyramids, see ``ViewArrays``, as all up to depth_size.
         level_start: (N, L).
         level_size: (N, L, 2).
         projection: (N, 3, 4).
+        rays: (N, 3, 3).
         centres: (N, 3).
         focal: (N,).
+        inverse_depth: (D,).
+        depth_start: (N,).
+        depth_size: (N, 2).
+        pooled_depth: (B,) the largest inverse depths in squares, see ``ViewArrays.blocks``.
+        pooled_start: (N,) where each photo's begin.
         usable: (N,) which photos may take part.
         origin: (3,) of the index of these, see ``ViewIndex``, as all up to groups.
         order: (S,).
@@ -233,9 +283,14 @@ class PlaneScene:
         blocks: (18 * 16 G,).
         groups: (20 G,).
         plane: (4,) unit normal and offset.
+        depth_settings: (5,) pinhole factor, pinhole neighbours, edge factor, largest gap as a share
+            of the image, see ``proxy``; occlusion factor.
         penalties: (4,) of resolution and border, the smallest margin, the smallest penalty.
         most_ranked: more photos than these are narrowed down before they are ranked.
         smallest_weight: below this sum of weights a pixel is not shown.
+        has_mesh: whether views are blended by the Delaunay mesh of their centres; else as an
+            unstructured lumigraph.
+        mesh: (4,) limits, see ``delaunay_meshes``.
     """
 
     def __init__(
@@ -245,8 +300,14 @@ class PlaneScene:
         level_start: IntArray,
         level_size: IntArray,
         projection: FloatArray,
+        rays: FloatArray,
         centres: FloatArray,
         focal: FloatArray,
+        inverse_depth: Float32Array,
+        depth_start: IntArray,
+        depth_size: IntArray,
+        pooled_depth: Float32Array,
+        pooled_start: IntArray,
         usable: BoolArray,
         origin: FloatArray,
         order: Int32Array,
@@ -255,10 +316,36 @@ class PlaneScene:
         blocks: Float32Array,
         groups: Float32Array,
         plane: FloatArray,
+        depth_settings: FloatArray,
         penalties: FloatArray,
         most_ranked: int,
         smallest_weight: float,
+        has_mesh: bool,
+        mesh: FloatArray,
     ) -> None: ...
+    def depth_samples(self, is_source: BoolArray, steps: FloatArray) -> DepthSamples:
+        """Takes samples of depth maps.
+
+        Args:
+            is_source: (N,) whose.
+            steps: (N,) from one sample to the next, at least 1 pixel of the depth map.
+        """
+
+    def sources(
+        self, poses: FloatArray, usual_inverse_depth: float, turn_cost: float, most: int
+    ) -> Int32Array:
+        """Chooses the photos nearest to virtual cameras that have depth maps.
+
+        Args:
+            poses: (B, 4, 4) world_from_camera.
+            usual_inverse_depth: what is near, 1 / metres.
+            turn_cost: how many of the usual depths a rotation by a radian costs.
+            most: photos at most.
+
+        Returns:
+            (B, most) photos, -1 behind the last.
+        """
+
     def render(
         self,
         poses: FloatArray,
@@ -267,9 +354,14 @@ class PlaneScene:
         down: IntArray,
         outlook_across: IntArray,
         outlook_down: IntArray,
+        frustum_across: IntArray,
+        frustum_down: IntArray,
         pixels: Int32Array,
         width: int,
         height: int,
+        samples: DepthSamples | None,
+        sources: Int32Array,
+        spacing: float,
     ) -> tuple[Float32Array, Float32Array]:
         """Renders some pixels of virtual views.
 
@@ -280,9 +372,14 @@ class PlaneScene:
             down: their rows.
             outlook_across: (4,) columns of the points that narrow many photos down, and
             outlook_down: (4,) their rows.
+            frustum_across: columns of the points one of which a view of a mesh has to see, and
+            frustum_down: their rows.
             pixels: (P,) indices in the image, rising.
             width: of the image, and
             height: of it.
+            samples: of depth maps of this light field; None: the surface is the plane.
+            sources: (B, S) whose depth maps make the surface; -1 behind the last.
+            spacing: of the vertices that approximate it, at least 1 pixel.
 
         Returns:
             (B, P, 4) RGB, 0 to 255, and 1 where any photo shows the pixel, all zero elsewhere; and
@@ -297,9 +394,14 @@ class PlaneScene:
         down: IntArray,
         outlook_across: IntArray,
         outlook_down: IntArray,
+        frustum_across: IntArray,
+        frustum_down: IntArray,
         pixels: Int32Array,
         width: int,
         height: int,
+        samples: DepthSamples | None,
+        sources: Int32Array,
+        spacing: float,
         query: Float32Array,
         cost: int,
         fit_gain: bool,
@@ -317,9 +419,14 @@ class PlaneScene:
             down: their rows.
             outlook_across: (4,) columns of the points that narrow many photos down, and
             outlook_down: (4,) their rows.
+            frustum_across: columns of the points one of which a view of a mesh has to see, and
+            frustum_down: their rows.
             pixels: (P,) indices in the image, rising.
             width: of the image, and
             height: of it.
+            samples: of depth maps of this light field; None: the surface is the plane.
+            sources: (B, S) whose depth maps make the surface; -1 behind the last.
+            spacing: of the vertices that approximate it, at least 1 pixel.
             query: (h, w, 4) these P = h w pixels; see ``comparison.compare``.
             cost: a ``Cost``.
             fit_gain: whether a brightness factor is fitted for each view.

@@ -1,7 +1,5 @@
 """Samples of depth maps that are kept: the same as fresh ones, and not too many."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -77,32 +75,45 @@ def test_samples_are_every_so_many_pixels_of_the_depth_map(view: int, spacing: f
     np.testing.assert_array_equal(found, np.unique(wanted, axis=0))
 
 
+def store() -> SampleStore[tuple[BoolArray, FloatArray]]:
+    """A store of samples that are named by the views they are of and their steps."""
+    return SampleStore(VIEWS.arrays, lambda views, steps: (views.copy(), steps))
+
+
 def test_views_are_added_to_what_is_kept() -> None:
-    store = SampleStore(VIEWS.arrays)
-    first = store(marked(1, 4), FOCAL, SPACING)
-    assert store(marked(4), FOCAL, SPACING) is first
-    more = store(marked(2), FOCAL, SPACING)
-    assert more is not first
-    assert store(marked(1, 2, 4), FOCAL, SPACING) is more
-    for view in (1, 2, 4):
-        fresh = depth_samples(VIEWS.arrays, marked(view), FOCAL, SPACING)
-        np.testing.assert_array_equal(of_view(more, view), of_view(fresh, view))
-    # Other cells, other samples.
-    assert store(marked(1), FOCAL, 2.0 * SPACING) is not more
+    kept = store()
+    first = kept(marked(1, 4), FOCAL, SPACING)
+    assert kept(marked(4), FOCAL, SPACING) is first
+    more = kept(marked(2), FOCAL, SPACING)
+    np.testing.assert_array_equal(more[0], marked(1, 2, 4))
+    assert kept(marked(1, 2, 4), FOCAL, SPACING) is more
+    # Other vertices, other samples.
+    np.testing.assert_allclose(kept(marked(1), FOCAL, 9.0)[1] / more[1], 3.0, rtol=0.01)
 
 
 def test_no_more_is_kept_than_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    size = len(depth_samples(VIEWS.arrays, marked(1), FOCAL, SPACING).values)
-    monkeypatch.setattr(sample_store, "MOST_NUMBERS", size)
-    store = SampleStore(VIEWS.arrays)
-    first = store(marked(1), FOCAL, SPACING)
-    assert store(marked(1), FOCAL, SPACING) is first
-    large = store(marked(3, 4, 5), FOCAL, SPACING)
-    assert len(large.values) > size
-    assert store(marked(1), FOCAL, SPACING) is first
-    for spacing in range(10, 20):
-        store(marked(1), FOCAL, float(spacing))
-    assert store(marked(1), FOCAL, SPACING) is not first
+    views = VIEWS.arrays
+    renderer = Renderer(VIEWS, WALL, quality=Quality.FINE, threads=1)
+    assert renderer._native is not None
+    one, three = (
+        renderer._native._light_field.depth_samples(marked(*some), np.ones(6)).count()
+        for some in ((1,), (3, 4, 5))
+    )
+    monkeypatch.setattr(sample_store, "MOST_SAMPLES", int(1.5 * one))
+    monkeypatch.setattr(sample_store, "DEPTHS_A_SAMPLE", 1000)
+    kept = store()
+    first = kept(marked(1), FOCAL, 0.1)
+    assert one > 0.7 * views.depth_size[1].prod()
+    assert three > 1.5 * one
+    assert kept(marked(1), FOCAL, 0.1) is first
+    large = kept(marked(3, 4, 5), FOCAL, 0.1)
+    np.testing.assert_array_equal(large[0], marked(3, 4, 5))
+    assert kept(marked(3, 4, 5), FOCAL, 0.1) is not large
+    assert kept(marked(1), FOCAL, 0.1) is first
+    # Of two that are too much together the later one stays.
+    other = kept(marked(1), FOCAL, 0.2)
+    assert kept(marked(1), FOCAL, 0.2) is other
+    assert kept(marked(1), FOCAL, 0.1) is not first
 
 
 def test_costs_do_not_depend_on_what_was_asked_before() -> None:
@@ -113,39 +124,6 @@ def test_costs_do_not_depend_on_what_was_asked_before() -> None:
         alone = Renderer(VIEWS, WALL, quality=Quality.MEDIUM, threads=1)
         np.testing.assert_array_equal(alone.render_many(pose[None], CAMERA)[0][0], image)
         np.testing.assert_array_equal(renderer.render_many(pose[None], CAMERA)[0][0], image)
-
-
-def test_batches_that_are_passed_over_would_have_changed_nothing(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Narrow views of parts of what the depth maps show, some from before it and from behind."""
-    generator = np.random.default_rng(1)
-    poses = []
-    for _ in range(40):
-        place = generator.uniform([-2.5, -4.0, 0.0], [2.5, 0.5, 2.0])
-        target = generator.uniform([-1.5, 0.0, 0.3], [1.5, 0.3, 1.7])
-        poses.append(looking(place, target, generator.uniform(-3.0, 3.0)))
-    camera = pinhole(120, 90, 260.0)
-    renderer, counts = Renderer(VIEWS, WALL, quality=Quality.MEDIUM, threads=1), []
-    usual = [renderer.render_with_surface(pose, camera) for pose in poses]
-
-    def unbounded(*arguments: Any) -> DepthSamples:
-        samples = depth_samples(*arguments)
-        boxes = samples.boxes.reshape(6, -1)
-        boxes[3:] = 1e4
-        counts.append(boxes.shape[1])
-        return samples
-
-    monkeypatch.setattr(sample_store, "depth_samples", unbounded)
-    whole = Renderer(VIEWS, WALL, quality=Quality.MEDIUM, threads=1)
-    covered = 0.0
-    for pose, result in zip(poses, usual, strict=True):
-        expected = whole.render_with_surface(pose, camera)
-        np.testing.assert_array_equal(result.inverse_depth, expected.inverse_depth)
-        np.testing.assert_array_equal(result.rgba, expected.rgba)
-        covered += float(expected.covered.mean()) / len(poses)
-    assert covered > 0.3
-    assert max(counts) > 60
 
 
 def test_a_surface_with_more_corners_than_can_be_counted_is_refused() -> None:

@@ -26,6 +26,8 @@ COINCIDENT_SHARE = 1e-12
 # Three corners count as lying on a line when their triangle is flatter than this share of the
 # square of its longest side.
 SMALLEST_AREA = 1e-12
+# These limits as the C++ core takes them.
+MESH_LIMITS = np.array([FLATNESS_LIMIT, COINCIDENT_PIXELS, COINCIDENT_SHARE, SMALLEST_AREA])
 
 
 @dataclass(frozen=True)

@@ -119,7 +119,8 @@ def source_views(views: Views, world_from_camera: FloatArray) -> IntArray:
 
 def usual_inverse_depth(views: Views) -> float:
     """Median of all known inverse depths: what is near and far in this scene."""
-    known = views.arrays.inverse_depth[views.arrays.inverse_depth > 0.0]
+    inverse_depth = views.arrays.inverse_depth
+    known = inverse_depth[(inverse_depth > 0.0) & (inverse_depth < np.inf)]
     return float(np.median(known)) if len(known) else 0.0
 
 

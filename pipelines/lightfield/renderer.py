@@ -30,13 +30,13 @@ from pipelines.lightfield.comparison import (
 )
 from pipelines.lightfield.devices import Device, chosen_gpu
 from pipelines.lightfield.kernels import NO_COMPARISON, render_nets, render_tiles
-from pipelines.lightfield.native_plane import NativePlane
+from pipelines.lightfield.native_renderer import NativeRenderer
 from pipelines.lightfield.proxy import SOURCE_VIEWS, Quality, cell_size
 from pipelines.lightfield.proxy import usual_inverse_depth as median_inverse_depth
 from pipelines.lightfield.proxy_kernels import choose_sources, depth_surfaces, plane_surfaces
 from pipelines.lightfield.reference import frustum_positions
-from pipelines.lightfield.sample_store import SampleStore
 from pipelines.lightfield.scene import Scene
+from pipelines.lightfield.splat_kernels import depth_samples
 from pipelines.lightfield.surface_room import surface_room_for
 from pipelines.lightfield.view_index import build_index
 from pipelines.lightfield.views import Views, views_of_scene, without_depth, without_view
@@ -140,7 +140,6 @@ class Renderer:
         usable = np.ones(len(views), dtype=np.bool_)
         if quality is Quality.PLANE:
             usable = plane.signed_distance(views.centres) > 0.0
-        self._samples = SampleStore(self.views.arrays)
         if usual_inverse_depth is None:
             usual_inverse_depth = median_inverse_depth(self.views)
         self._usual_inverse_depth = usual_inverse_depth
@@ -152,10 +151,10 @@ class Renderer:
             is_net=blending is Blending.DELAUNAY,
         )
         self._spaces = Workspaces(self._field)
-        self._native: NativePlane | None = None
-        if quality is Quality.PLANE and blending is Blending.UNSTRUCTURED:
-            index = self._field.view_index
-            self._native = NativePlane(self.views.arrays, index, usable, plane)
+        index, usual = self._field.view_index, self._usual_inverse_depth
+        self._native: NativeRenderer | None = NativeRenderer(
+            self.views, index, usable, plane, blending, quality, usual
+        )
 
     @classmethod
     def of_scene(
@@ -288,15 +287,20 @@ class Renderer:
         if evidence is not None:
             target[..., 3] *= ONE + evidence.rows(target[..., :3])
         native = self._native
+        if native is not None:
+            seen = native.surfaces(poses, intrinsics)
+
+            def compare(part: slice) -> None:
+                costs[part] = native.costs(
+                    poses[part], seen[part], intrinsics, chosen, target, cost, fit_gain, table
+                )
+
+            self._run(compare, len(poses), POSES_TOGETHER)
+            return costs
         surfaces = self._surfaces(poses, intrinsics, chosen)
         vector, kind = intrinsics.vector(), int(cost)
 
         def score(part: slice) -> None:
-            if native is not None:
-                costs[part] = native.costs(
-                    poses[part], intrinsics, chosen, target, cost, fit_gain, table
-                )
-                return
             image = aligned(target.size, np.float32).reshape((1, *target.shape))
             own, result = surfaces(part), costs[part]
             self._render(
@@ -320,7 +324,8 @@ class Renderer:
         poses = np.ascontiguousarray(world_from_camera, dtype=np.float64)
         shape = (len(poses), intrinsics.height, intrinsics.width)
         if self._native is not None:
-            drawn, depths = self._native.draw(poses, intrinsics, every_pixel(intrinsics))
+            seen = self._native.surfaces(poses, intrinsics)
+            drawn, depths = self._native.draw(poses, seen, intrinsics, every_pixel(intrinsics))
             return drawn.reshape((*shape, 4)), depths.reshape(shape)
         images = np.empty((*shape, 4), dtype=np.float32)
         no_query, no_costs = np.empty((0, 0, 4), dtype=np.float32), np.empty(0)
@@ -354,7 +359,8 @@ class Renderer:
         sources = np.empty((len(poses), SOURCE_VIEWS), dtype=np.int64)
         is_source = np.empty(len(self.views), dtype=np.bool_)
         choose_sources(arrays, usual, poses, np.empty(SOURCE_VIEWS), sources, is_source)
-        samples = self._samples(is_source, 0.5 * (intrinsics.fx + intrinsics.fy), spacing)
+        focal = 0.5 * (intrinsics.fx + intrinsics.fy)
+        samples = depth_samples(arrays, is_source, focal, spacing)
         wanted = _surface_pixels(intrinsics, chosen)
 
         def of_depths(part: slice) -> Float32Array:

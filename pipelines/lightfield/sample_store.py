@@ -1,14 +1,30 @@
 """Samples of depth maps that are kept from one call to the next."""
 
-from pipelines.artifacts.array_types import BoolArray
-from pipelines.lightfield.splat_kernels import DepthSamples, depth_samples
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from pipelines.artifacts.array_types import BoolArray, FloatArray
+from pipelines.lightfield.proxy import PIXEL_PARTS, sample_steps
 from pipelines.lightfield.views import ViewArrays
 
-# So many numbers are kept at most, three a sample, of so many kinds: some tens of megabytes.
-MOST_NUMBERS, MOST_KINDS = 3 << 20, 4
+# So many samples are kept at most, of twelve bytes each; of large light fields one for so many
+# depths, which take four bytes each.
+MOST_SAMPLES, DEPTHS_A_SAMPLE = 1 << 22, 8
+
+Samples = TypeVar("Samples")
 
 
-class SampleStore:
+@dataclass(frozen=True)
+class _Kept(Generic[Samples]):
+    """Samples of the views ``is_source`` ``(N,)``, at most ``count`` ones."""
+
+    is_source: BoolArray
+    samples: Samples
+    count: int
+
+
+class SampleStore(Generic[Samples]):
     """Samples of a light field's depth maps, taken when they are asked for first.
 
     While a camera moves on, its surface is made of the same depth maps again and again. What was
@@ -16,30 +32,43 @@ class SampleStore:
 
     Args:
         views: the light field.
+        take: takes the samples of some views ``(N,)``, for steps ``(N,)`` from one to the next in
+            pixels of the depth maps.
     """
 
-    def __init__(self, views: ViewArrays) -> None:
-        self._views = views
-        self._kept: dict[tuple[float, float], DepthSamples] = {}
+    def __init__(self, views: ViewArrays, take: Callable[[BoolArray, FloatArray], Samples]) -> None:
+        self._views, self._take = views, take
+        self._most = max(MOST_SAMPLES, len(views.inverse_depth) // DEPTHS_A_SAMPLE)
+        self._kept: dict[tuple[float, float], _Kept[Samples]] = {}
 
-    def __call__(self, is_source: BoolArray, focal: float, spacing: float) -> DepthSamples:
-        """Samples of some views at least; see ``depth_samples``.
+    def __call__(self, is_source: BoolArray, focal: float, spacing: float) -> Samples:
+        """Samples of some views at least.
 
         Args:
             is_source: ``(N,)`` which views.
             focal: of the virtual camera, pixels.
-            spacing: of the mesh's corners, virtual pixels.
+            spacing: of the surface's vertices, virtual pixels.
         """
         kind = (focal, spacing)
         kept = self._kept.get(kind)
         if kept is not None and not (is_source & ~kept.is_source).any():
-            return kept
+            return kept.samples
+        steps = sample_steps(self._views, focal, spacing)
+        counts = (-(-PIXEL_PARTS * self._views.depth_size // steps[:, None])).prod(axis=1)
         wanted = is_source if kept is None else is_source | kept.is_source
-        samples = depth_samples(self._views, wanted, focal, spacing)
-        if len(samples.values) > MOST_NUMBERS and kept is not None:
-            samples = depth_samples(self._views, is_source, focal, spacing)
-        if len(samples.values) <= MOST_NUMBERS:
-            self._kept[kind] = samples
-            for oldest in list(self._kept)[:-MOST_KINDS]:
-                self._kept.pop(oldest, None)
-        return samples
+        if counts[wanted].sum() > self._most:
+            wanted = is_source
+        found = self._take(wanted, steps / PIXEL_PARTS)
+        self._keep(kind, _Kept(wanted, found, int(counts[wanted].sum())))
+        return found
+
+    def _keep(self, kind: tuple[float, float], found: _Kept[Samples]) -> None:
+        """Keeps samples, and of older ones the latest that fit in beside them."""
+        if found.count > self._most:
+            return
+        kept, room = {kind: found}, self._most - found.count
+        for other, older in reversed(self._kept.items()):
+            if other != kind and older.count <= room:
+                kept[other] = older
+                room -= older.count
+        self._kept = dict(reversed(kept.items()))

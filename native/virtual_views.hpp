@@ -1,4 +1,4 @@
-// What is rendered and compared: a light field whose surface is a plane, virtual views, and costs.
+// What is rendered and compared: a light field, virtual views of it, and costs.
 
 #pragma once
 
@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <span>
 
+#include "depth_samples.hpp"
 #include "image.hpp"
 #include "light_field.hpp"
 
@@ -16,10 +17,24 @@ struct PenaltySettings {
     float resolution, border, smallest_margin, smallest;
 };
 
-/// Where points are ranked in images of one size: columns and rows of the tiles' corners, and of
-/// the points of the outlook.
+/// Limits of the Delaunay mesh, of which net.py says what they are.
+struct MeshSettings {
+    double flatness, coincident_pixels, coincident_share, smallest_area;
+};
+
+/// Where points are looked at in images of one size: columns and rows of the tiles' corners, of the
+/// points of the outlook, and of those one of which a photo of the Delaunay mesh has to show.
 struct Grid {
     std::span<const std::int64_t> across, down, outlook_across, outlook_down;
+    std::span<const std::int64_t> frustum_across, frustum_down;
+};
+
+/// How vertices with depths become a surface; proxy.py says what these are.
+struct DepthGridSettings {
+    float pinhole_factor;
+    std::int32_t pinhole_neighbours;
+    float edge_factor;
+    double largest_gap_share;
 };
 
 /// Kinds of comparison, see pipelines/lightfield/comparison.py.
@@ -38,16 +53,21 @@ struct CostSettings {
 };
 
 /// A light field and how it is rendered.
-struct PlaneScene {
+struct LightField {
     Photos photos;
     PhotoIndex index;
     /// (4,) unit normal and offset; the photos' cameras are on its positive side.
     const double* plane;
+    DepthGridSettings depth_grid;
     PenaltySettings penalties;
     /// More photos than these are narrowed down before they are ranked.
     std::size_t most_ranked;
-    /// Below this sum of weights the photos of a tile do not show a pixel.
+    /// Below this sum of weights the photos of a region do not show a pixel.
     float smallest_weight;
+    /// Whether photos are blended by the Delaunay mesh of their centres; else as an unstructured
+    /// lumigraph.
+    bool has_mesh;
+    MeshSettings mesh;
 };
 
 /// Which pixels of which virtual cameras are rendered.
@@ -61,6 +81,13 @@ struct VirtualViews {
     Grid grid;
     /// Indices of the pixels in the image, rising.
     std::span<const std::int32_t> pixels;
+    /// Of the depth maps that make the surface; none: it is the plane.
+    const DepthSamples* samples;
+    /// (B, most_sources) whose these are, for each camera; -1: none.
+    const std::int32_t* sources;
+    std::size_t most_sources;
+    /// Of the vertices that approximate it, pixels.
+    double spacing;
 };
 
 /// What views are compared with.

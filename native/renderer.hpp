@@ -1,11 +1,11 @@
-// Virtual views of a light field whose surface is a plane, blended as an unstructured lumigraph,
+// Virtual views of a light field, over a plane or depth maps, blended as an unstructured lumigraph,
 // and what they cost against a camera image. The readable version is
 // pipelines/lightfield/reference.py.
 
 #pragma once
 
 #include "instruction_set.hpp"
-#include "plane_views.hpp"
+#include "virtual_views.hpp"
 
 namespace lfnav {
 
@@ -13,14 +13,15 @@ namespace lfnav {
 ///
 /// @param images: (B, P, 4) receives colours, 0 to 255, and 1 where any photo shows the pixel; all
 ///     zero elsewhere.
-/// @param inverse_depths: (B, P) receives the plane's, 1 / metres along the optical axis; 0: none.
-LFNAV_DECLARE(void render(const PlaneScene& scene, const VirtualViews& views, float* images,
+/// @param inverse_depths: (B, P) receives the surface's, 1 / metres along the optical axis; 0:
+/// none.
+LFNAV_DECLARE(void render(const LightField& field, const VirtualViews& views, float* images,
                           float* inverse_depths))
 
 /// Renders and compares views.
 ///
 /// @param costs: (B,) receives the costs.
-LFNAV_DECLARE(void compare_views(const PlaneScene& scene, const VirtualViews& views,
+LFNAV_DECLARE(void compare_views(const LightField& field, const VirtualViews& views,
                                  const Comparison& comparison, double* costs))
 
 }  // namespace lfnav

@@ -1,4 +1,4 @@
-// Python's PlaneScene.
+// Python's LightField.
 
 #pragma once
 
@@ -6,6 +6,6 @@
 
 namespace lfnav {
 
-void bind_plane_renderer(nanobind::module_& module);
+void bind_renderer(nanobind::module_& module);
 
 }  // namespace lfnav
