@@ -195,9 +195,8 @@ LFNAV_INLINE double evidence_cost(const float* image, const float* query, std::s
 /// The cost of one rendered view; smaller is better.
 ///
 /// @param image: rendered, 0 to 255, and 1 where covered, else 0.
-/// @param query: camera image, and 1 where it is to be compared; of EVIDENCE the row of the table.
-LFNAV_INLINE double compare(Cost cost, const MaskedImage& image, const MaskedImage& query,
-                            bool fit_gain, const CostSettings& settings) {
+LFNAV_INLINE double compare(const MaskedImage& image, const Comparison& comparison) {
+    const auto& [cost, query, fit_gain, settings] = comparison;
     const std::size_t count = image.width * image.height;
     const float *a = image.data, *b = query.data;
     if (cost == Cost::EVIDENCE) {

@@ -249,8 +249,7 @@ void compare_by(const LightField& field, const VirtualViews& views, const Compar
     const MaskedImage rendered{image.data(), comparison.query.height, comparison.query.width};
     for (std::size_t number = 0; number < views.count; ++number) {
         renderer.draw(number, image.data());
-        costs[number] = compare(comparison.cost, rendered, comparison.query, comparison.fit_gain,
-                                comparison.settings);
+        costs[number] = compare(rendered, comparison);
     }
 }
 
@@ -266,6 +265,10 @@ void compare_views(const LightField& field, const VirtualViews& views, const Com
                    double* costs) {
     (field.has_mesh ? &compare_by<DelaunayBlending> : &compare_by<Tiling>)(field, views, comparison,
                                                                            costs);
+}
+
+double compare_image(const MaskedImage& view, const Comparison& comparison) {
+    return compare(view, comparison);
 }
 
 }  // namespace lfnav::LFNAV_LEVEL

@@ -24,4 +24,9 @@ LFNAV_DECLARE(void render(const LightField& field, const VirtualViews& views, fl
 LFNAV_DECLARE(void compare_views(const LightField& field, const VirtualViews& views,
                                  const Comparison& comparison, double* costs))
 
+/// What one rendered view costs.
+///
+/// @param view: 0 to 255, and 1 where covered, else 0; as large as the camera image.
+LFNAV_DECLARE(double compare_image(const MaskedImage& view, const Comparison& comparison))
+
 }  // namespace lfnav

@@ -303,6 +303,53 @@ nb::tuple python_render(const PythonLightField& self, nb::handle poses, nb::hand
     return nb::make_tuple(images.array, inverse_depths.array);
 }
 
+/// How views are compared with a camera image: arguments of a function of Python's.
+class ComparisonArgument {
+  public:
+    ComparisonArgument(nb::handle query, nb::handle cost, bool fit_gain, nb::handle limits,
+                       nb::handle uncovered, nb::handle table, nb::handle evidence_bin)
+        : query_(query, "query"),
+          cost_(static_cast<Cost>(integer_between(0, 4, cost, "cost"))),
+          fit_gain_(fit_gain),
+          limits_(limits, "limits", {3}),
+          uncovered_(uncovered, "uncovered", {4}),
+          table_(table, "table", {ANY<float>, ANY<float>}),
+          evidence_bin_(static_cast<float>(positive_number(evidence_bin, "evidence_bin"))) {
+        if (cost_ != Cost::EVIDENCE) {
+            return;
+        }
+        const MaskedImage image = query_;
+        const auto rows = static_cast<float>(table_.shape(0));
+        for (std::size_t i = 0; i < image.width * image.height; ++i) {
+            if (!(image.data[4 * i + 3] >= 0.0F && image.data[4 * i + 3] < rows)) {
+                refuse_value("query", "a row of the table expected as each pixel's last number");
+            }
+        }
+        if (table_.shape(1) == 0) {
+            refuse_value("table", "at least one bin expected");
+        }
+    }
+
+    const MaskedImageArgument& query() const { return query_; }
+
+    operator Comparison() const {
+        const double *limit = limits_.data(), *of = uncovered_.data();
+        return {cost_,
+                query_,
+                fit_gain_,
+                {static_cast<float>(limit[0]), static_cast<float>(limit[1]), of[0], of[1], of[2],
+                 of[3], limit[2], table_.span(), table_.shape(1), evidence_bin_}};
+    }
+
+  private:
+    MaskedImageArgument query_;
+    Cost cost_;
+    bool fit_gain_;
+    ArrayArgument<double> limits_, uncovered_;
+    ArrayArgument<float> table_;
+    float evidence_bin_;
+};
+
 nb::object python_costs(const PythonLightField& self, nb::handle poses, nb::handle intrinsics,
                         nb::handle across, nb::handle down, nb::handle outlook_across,
                         nb::handle outlook_down, nb::handle frustum_across, nb::handle frustum_down,
@@ -314,34 +361,13 @@ nb::object python_costs(const PythonLightField& self, nb::handle poses, nb::hand
     const ViewsArgument views(field.photos.count, poses, intrinsics, across, down, outlook_across,
                               outlook_down, frustum_across, frustum_down, pixels, width, height,
                               samples, sources, spacing);
-    const MaskedImageArgument wanted(query, "query");
-    const MaskedImage image = wanted;
+    const ComparisonArgument comparison(query, cost, fit_gain, limits, uncovered, table,
+                                        evidence_bin);
+    const MaskedImage image = comparison.query();
     if (image.width * image.height != views.pixels()) {
         refuse_value("query", "as many pixels as are rendered expected, got " +
                                   std::to_string(image.width * image.height));
     }
-    const ArrayArgument<double> most(limits, "limits", {3}), costs(uncovered, "uncovered", {4});
-    const ArrayArgument<float> evidence(table, "table", {ANY<float>, ANY<float>});
-    const auto kind = static_cast<Cost>(integer_between(0, 4, cost, "cost"));
-    if (kind == Cost::EVIDENCE) {
-        const auto rows = static_cast<float>(evidence.shape(0));
-        for (std::size_t i = 0; i < views.pixels(); ++i) {
-            if (!(image.data[4 * i + 3] >= 0.0F && image.data[4 * i + 3] < rows)) {
-                refuse_value("query", "a row of the table expected as each pixel's last number");
-            }
-        }
-        if (evidence.shape(1) == 0) {
-            refuse_value("table", "at least one bin expected");
-        }
-    }
-    const double *limit = most.data(), *of = costs.data();
-    const Comparison comparison{
-        kind,
-        image,
-        fit_gain,
-        {static_cast<float>(limit[0]), static_cast<float>(limit[1]), of[0], of[1], of[2], of[3],
-         limit[2], evidence.span(), evidence.shape(1),
-         static_cast<float>(positive_number(evidence_bin, "evidence_bin"))}};
     NewArray<double> result({views.count()});
     {
         const nb::gil_scoped_release unlocked;
@@ -350,9 +376,28 @@ nb::object python_costs(const PythonLightField& self, nb::handle poses, nb::hand
     return nb::cast(result.array);
 }
 
+double python_image_cost(nb::handle view, nb::handle query, nb::handle cost, bool fit_gain,
+                         nb::handle limits, nb::handle uncovered, nb::handle table,
+                         nb::handle evidence_bin) {
+    const ComparisonArgument comparison(query, cost, fit_gain, limits, uncovered, table,
+                                        evidence_bin);
+    const MaskedImageArgument rendered(view, "view", comparison.query());
+    const MaskedImage image = rendered;
+    for (std::size_t i = 0; i < image.width * image.height; ++i) {
+        if (!(image.data[4 * i + 3] >= 0.0F && image.data[4 * i + 3] <= 1.0F)) {
+            refuse_value("view", "0 to 1 expected as each pixel's last number");
+        }
+    }
+    const nb::gil_scoped_release unlocked;
+    return LFNAV_BEST(compare_image)(image, comparison);
+}
+
 }  // namespace
 
 void bind_renderer(nb::module_& module) {
+    module.def("image_cost", &python_image_cost, argument("view"), argument("query"),
+               argument("cost"), nb::arg("fit_gain"), argument("limits"), argument("uncovered"),
+               argument("table"), argument("evidence_bin"));
     nb::class_<DepthSamples>(module, "DepthSamples").def("count", [](const DepthSamples& self) {
         return self.count;
     });

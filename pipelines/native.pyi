@@ -104,6 +104,29 @@ def normal_equations(
         each tile (tiles, D + 2).
     """
 
+def image_cost(
+    view: Float32Array,
+    query: Float32Array,
+    cost: int,
+    fit_gain: bool,
+    limits: FloatArray,
+    uncovered: FloatArray,
+    table: Float32Array,
+    evidence_bin: float,
+) -> float:
+    """What a rendered view costs; see ``comparison.compare``.
+
+    Args:
+        view: (H, W, 4) rendered, and 1 where covered.
+        query: (H, W, 4) camera image, and 1 where it is to be compared.
+        cost: a ``Cost``.
+        fit_gain: whether a brightness factor is fitted.
+        limits: (3,) of absolute differences, of differences of gradients, of the gain.
+        uncovered: (4,) what an uncovered pixel costs, of the first four kinds of cost.
+        table: (R, D) of evidence alone: a row of zeros, then the table's.
+        evidence_bin: levels a bin of the table.
+    """
+
 def delaunay_triangles(points: FloatArray, smallest_area: float) -> Int32Array:
     """Delaunay triangulation of distinct points.
 

@@ -20,7 +20,6 @@ from pipelines.lightfield.comparison import (
     pixel_strength,
     prepared,
 )
-from pipelines.lightfield.compiled import compiled
 from pipelines.lightfield.proxy import Quality
 from pipelines.lightfield.reference import render_reference
 from pipelines.lightfield.renderer import Renderer
@@ -35,8 +34,6 @@ from tests.test_renderers_agree import (
     one_view,
     with_depth,
 )
-
-compiled_compare = compiled(compare)
 
 
 def random_evidence(generator: np.random.Generator) -> PixelEvidence:
@@ -83,11 +80,11 @@ def packed(image: Float32Array, covered: BoolArray) -> Float32Array:
 def compared(
     image: Float32Array, covered: BoolArray, query: Float32Array, evidence: PixelEvidence
 ) -> float:
-    """The compiled comparison by itself."""
+    """The comparison by itself."""
     target = prepared(query)
     target[..., 3] *= 1.0 + evidence.rows(target[..., :3])
     table = evidence_table(Cost.EVIDENCE, evidence)
-    return compiled_compare(int(Cost.EVIDENCE), packed(image, covered), target, False, table)
+    return compare(Cost.EVIDENCE, packed(image, covered), target, False, table)
 
 
 @pytest.mark.parametrize("seed", range(6))

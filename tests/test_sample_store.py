@@ -4,18 +4,10 @@ import numpy as np
 import pytest
 
 from pipelines.artifacts.array_types import BoolArray, FloatArray
-from pipelines.artifacts.errors import OptionError
 from pipelines.lightfield import sample_store
 from pipelines.lightfield.proxy import Quality
 from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.sample_store import SampleStore
-from pipelines.lightfield.splat_kernels import (
-    ELSEWHERE,
-    TOGETHER,
-    DepthSamples,
-    depth_samples,
-)
-from pipelines.lightfield.surface_room import surface_room_for
 from pipelines.lightfield.views import Views, build_views
 from tests.lightfield_samples import WALL, looking, noise_views, pinhole
 
@@ -47,34 +39,6 @@ def marked(*views: int) -> BoolArray:
     return result
 
 
-def of_view(samples: DepthSamples, view: int) -> FloatArray:
-    """``(n, 3)`` columns and rows from the middle, inverse depths; in one order, each once."""
-    batches = samples.values.reshape(-1, 3, TOGETHER)[samples.starts[view] : samples.ends[view]]
-    return np.unique(batches.transpose(0, 2, 1).reshape(-1, 3), axis=0)
-
-
-@pytest.mark.parametrize("view", range(6))
-@pytest.mark.parametrize("spacing", [1.0, 2.3, 3.0])
-def test_samples_are_every_so_many_pixels_of_the_depth_map(view: int, spacing: float) -> None:
-    samples = depth_samples(VIEWS.arrays, marked(view, 0), FOCAL, spacing)
-    depth = VIEWS.depth_map(view)
-    arrays = VIEWS.arrays
-    # 1.4 samples along a side of a cell, but no pixel twice; in parts of a pixel.
-    pixels = spacing * arrays.focal[view] * depth.shape[1] / arrays.level_size[view, 0, 0]
-    step = np.floor(256.0 * max(1.0, pixels / FOCAL / 1.4)) / 256.0
-    rows, columns = (np.floor(np.arange(0.0, size, step)) for size in depth.shape)
-    expected = [
-        (column + 0.5 - 0.5 * depth.shape[1], row + 0.5 - 0.5 * depth.shape[0], value)
-        for row in rows
-        for column in columns
-        if (value := depth[int(row), int(column)]) > 0.0
-    ]
-    assert step > 1.0 or spacing == 1.0
-    found = of_view(samples, view)
-    wanted = np.array(expected, dtype=np.float32)
-    np.testing.assert_array_equal(found, np.unique(wanted, axis=0))
-
-
 def store() -> SampleStore[tuple[BoolArray, FloatArray]]:
     """A store of samples that are named by the views they are of and their steps."""
     return SampleStore(VIEWS.arrays, lambda views, steps: (views.copy(), steps))
@@ -94,7 +58,6 @@ def test_views_are_added_to_what_is_kept() -> None:
 def test_no_more_is_kept_than_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     views = VIEWS.arrays
     renderer = Renderer(VIEWS, WALL, quality=Quality.FINE, threads=1)
-    assert renderer._native is not None
     one, three = (
         renderer._native._light_field.depth_samples(marked(*some), np.ones(6)).count()
         for some in ((1,), (3, 4, 5))
@@ -124,11 +87,3 @@ def test_costs_do_not_depend_on_what_was_asked_before() -> None:
         alone = Renderer(VIEWS, WALL, quality=Quality.MEDIUM, threads=1)
         np.testing.assert_array_equal(alone.render_many(pose[None], CAMERA)[0][0], image)
         np.testing.assert_array_equal(renderer.render_many(pose[None], CAMERA)[0][0], image)
-
-
-def test_a_surface_with_more_corners_than_can_be_counted_is_refused() -> None:
-    wanted = np.zeros(1, np.int32)
-    room = surface_room_for(4000, 2000, 1.0, wanted)
-    assert len(room.corners) == 4002 * 2002 + ELSEWHERE
-    with pytest.raises(OptionError, match=r"100000 x 200 corners .* coarser quality"):
-        surface_room_for(100_000, 200, 1.0, wanted)

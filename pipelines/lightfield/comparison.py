@@ -17,8 +17,7 @@ import numpy as np
 
 from pipelines.artifacts.array_types import BoolArray, Float32Array, ImageArray, Int32Array
 from pipelines.artifacts.errors import OptionError
-from pipelines.lightfield.aligned_memory import aligned
-from pipelines.lightfield.compiled import compiled_leaf, compiled_loop, compiled_part
+from pipelines.native import image_cost
 
 
 class Cost(IntEnum):
@@ -53,11 +52,9 @@ LARGEST_GAIN = 1.5
 EVIDENCE_BINS, EVIDENCE_ROWS = 24, 8
 EVIDENCE_BIN = 10.0
 
-
-# Numbers (four a pixel) that are added up in single precision, before the sum is kept in double.
-BLOCK = 1024
-ZERO, ONE = np.float32(0.0), np.float32(1.0)
-LIMIT = np.float32(ROBUST_LIMIT)
+# As the C++ core takes them.
+LIMITS = np.array([ROBUST_LIMIT, GRADIENT_LIMIT, LARGEST_GAIN])
+UNCOVERED = np.array([UNCOVERED_SQUARED, UNCOVERED_ROBUST, UNCOVERED_ZNCC, UNCOVERED_GRADIENT])
 # Of all costs but EVIDENCE.
 NO_TABLE = np.empty(0, dtype=np.float32)
 
@@ -130,9 +127,9 @@ def prepared_pixels(query: ImageArray | Float32Array) -> tuple[Int32Array, Float
         Their indices ``(P,)``, rising, and ``(1, P, 4)`` their colours, and 1.
     """
     chosen = np.flatnonzero(_known(query)).astype(np.int32)
-    pixels = aligned(4 * len(chosen), np.float32).reshape((1, len(chosen), 4))
+    pixels = np.empty((1, len(chosen), 4), dtype=np.float32)
     pixels[0, :, :3] = query.reshape(-1, 3)[chosen]
-    pixels[..., 3] = ONE
+    pixels[..., 3] = 1.0
     return chosen, pixels
 
 
@@ -143,183 +140,24 @@ def _known(query: ImageArray | Float32Array) -> BoolArray:
     return np.asarray(np.isfinite(image[..., 0] + image[..., 1] + image[..., 2]))
 
 
-@compiled_part
 def compare(
-    kind: int, image: Float32Array, query: Float32Array, fit_gain: bool, table: Float32Array
+    cost: Cost, view: Float32Array, query: Float32Array, fit_gain: bool, table: Float32Array
 ) -> float:
     """The cost of one rendered view.
 
     Args:
-        kind: a ``Cost``.
-        image: (H, W, 4) rendered, 0 to 255, and 1 where covered, else 0.
-        query: (H, W, 4) camera image, see ``prepared``. For EVIDENCE its last number is, where the
-            pixel is to be compared, 1 and the pixel's row of the table.
-        fit_gain: whether one brightness factor is fitted first.
+        cost: the kind of comparison.
+        view: ``(H, W, 4)`` rendered, 0 to 255, and 1 where covered, else 0.
+        query: ``(H, W, 4)`` camera image, see ``prepared``. For EVIDENCE its last number is, where
+            the pixel is to be compared, 1 and the pixel's row of the table.
+        fit_gain: whether one brightness factor is fitted first, between 1 / ``LARGEST_GAIN`` and
+            ``LARGEST_GAIN``. Of ROBUST it is found from those colours alone that are nearly equal
+            already: what stands in front of the scene must not change the brightness of what is
+            seen beside it.
         table: of EVIDENCE alone, row by row: EVIDENCE_BINS zeros, then ``PixelEvidence.table``.
 
     Returns:
         Cost, in [0, 1] but for EVIDENCE; smaller is better.
     """
-    a, b = image.reshape(-1), query.reshape(-1)
-    if kind == 4:
-        return _evidence_cost(a, b, table)
-    if kind == 2:
-        return _correlation(a, b)
-    gain = ONE
-    if fit_gain:
-        gain = np.float32(fitted_gain(a, b, kind == 1))
-    if kind == 3:
-        return _gradient(image, query, gain)
-    return _difference(a, b, gain, kind == 1)
-
-
-@compiled_loop
-def _gain_sums(
-    image: Float32Array, query: Float32Array, limit: np.float32
-) -> tuple[np.float32, np.float32]:
-    """Sums of products and of squares over the colours that differ by less than ``limit``."""
-    product, square = ZERO, ZERO
-    for i in range(len(image) // 4):
-        used = image[4 * i + 3] * query[4 * i + 3]
-        for channel in range(3):
-            value, wanted = image[4 * i + channel], query[4 * i + channel]
-            weight = used if abs(value - wanted) < limit else ZERO
-            product += weight * value * wanted
-            square += weight * value * value
-    return product, square
-
-
-@compiled_leaf
-def fitted_gain(image: Float32Array, query: Float32Array, trimmed: bool) -> float:
-    """The factor, between 1 / LARGEST_GAIN and LARGEST_GAIN, that fits the image best.
-
-    Args:
-        image: (4 P,) rendered, as for ``compare``, flat.
-        query: (4 P,) likewise.
-        trimmed: whether it is found from those colours alone that are nearly equal already: what
-            stands in front of the scene must not change the brightness of what is seen beside it.
-    """
-    product, square = 0.0, 0.0
-    limit = LIMIT if trimmed else np.float32(np.inf)
-    for first in range(0, len(image), BLOCK):
-        sums = _gain_sums(image[first : first + BLOCK], query[first : first + BLOCK], limit)
-        product += float(sums[0])
-        square += float(sums[1])
-    if square <= 0.0:
-        return 1.0
-    return float(min(max(product / square, 1.0 / LARGEST_GAIN), LARGEST_GAIN))
-
-
-@compiled_loop
-def _difference_sums(
-    image: Float32Array, query: Float32Array, gain: np.float32, robust: bool
-) -> tuple[np.float32, np.float32, np.float32]:
-    """Sum of differences, and numbers of pixels compared with something and compared at all."""
-    total, covered, compared = ZERO, ZERO, ZERO
-    for i in range(len(image) // 4):
-        used = image[4 * i + 3] * query[4 * i + 3]
-        covered += used
-        compared += query[4 * i + 3]
-        red = gain * image[4 * i] - query[4 * i]
-        green = gain * image[4 * i + 1] - query[4 * i + 1]
-        blue = gain * image[4 * i + 2] - query[4 * i + 2]
-        if robust:
-            total += used * (min(abs(red), LIMIT) + min(abs(green), LIMIT) + min(abs(blue), LIMIT))
-        else:
-            total += used * (red * red + green * green + blue * blue)
-    return total, covered, compared
-
-
-@compiled_leaf
-def _difference(image: Float32Array, query: Float32Array, gain: np.float32, robust: bool) -> float:
-    """Mean squared or limited absolute difference, relative to the largest."""
-    total, covered, compared = 0.0, 0.0, 0.0
-    for first in range(0, len(image), BLOCK):
-        part, wanted = image[first : first + BLOCK], query[first : first + BLOCK]
-        sums = _difference_sums(part, wanted, gain, robust)
-        total += float(sums[0])
-        covered += float(sums[1])
-        compared += float(sums[2])
-    largest = ROBUST_LIMIT if robust else 255.0 * 255.0
-    uncovered = UNCOVERED_ROBUST if robust else UNCOVERED_SQUARED
-    total += 3.0 * largest * uncovered * (compared - covered)
-    return float(total / (3.0 * largest * max(compared, 1.0)))
-
-
-@compiled_loop
-def _moments(
-    image: Float32Array, query: Float32Array
-) -> tuple[float, float, float, float, float, float, float]:
-    """Numbers of pixels covered and compared; sums of a, b, a a, b b, a b over covered colours."""
-    covered, compared = 0.0, 0.0
-    a1, b1, a2, b2, ab = 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(len(image) // 4):
-        used = np.float64(image[4 * i + 3] * query[4 * i + 3])
-        covered += used
-        compared += query[4 * i + 3]
-        for channel in range(3):
-            a = used * np.float64(image[4 * i + channel])
-            b = used * np.float64(query[4 * i + channel])
-            a1 += a
-            b1 += b
-            a2 += a * a
-            b2 += b * b
-            ab += a * b
-    return covered, compared, a1, b1, a2, b2, ab
-
-
-@compiled_leaf
-def _correlation(image: Float32Array, query: Float32Array) -> float:
-    covered, compared, a1, b1, a2, b2, ab = _moments(image, query)
-    share = covered / max(compared, 1.0)
-    if covered == 0.0:
-        return UNCOVERED_ZNCC
-    n = 3.0 * covered
-    variance_a, variance_b = a2 - a1 * a1 / n, b2 - b1 * b1 / n
-    correlation = 0.0
-    # Below one grey level of contrast there is nothing to correlate.
-    if variance_a > n and variance_b > n:
-        correlation = (ab - a1 * b1 / n) / np.sqrt(variance_a * variance_b)
-    return float(share * (1.0 - correlation) / 2.0 + (1.0 - share) * UNCOVERED_ZNCC)
-
-
-@compiled_leaf
-def _evidence_cost(image: Float32Array, query: Float32Array, table: Float32Array) -> float:
-    total = 0.0
-    scale = np.float32(1.0 / EVIDENCE_BIN)
-    largest = np.float32(EVIDENCE_BINS - 1)
-    for i in range(len(image) // 4):
-        difference = (
-            abs(image[4 * i] - query[4 * i])
-            + abs(image[4 * i + 1] - query[4 * i + 1])
-            + abs(image[4 * i + 2] - query[4 * i + 2])
-        )
-        # Pixels that are not covered or not compared look up the row of zeros: no branch.
-        row = np.uintp(image[4 * i + 3] * query[4 * i + 3])
-        column = np.uintp(min(difference * scale, largest))
-        total -= float(table[row * np.uintp(EVIDENCE_BINS) + column])
-    return total
-
-
-@compiled_leaf
-def _gradient(image: Float32Array, query: Float32Array, gain: np.float32) -> float:
-    total = 0.0
-    count = 0
-    limit = np.float32(GRADIENT_LIMIT)
-    for y in range(image.shape[0]):
-        for x in range(image.shape[1]):
-            for step in range(2):
-                other_y, other_x = y + step, x + 1 - step
-                if other_y >= image.shape[0] or other_x >= image.shape[1]:
-                    continue
-                if query[y, x, 3] * query[other_y, other_x, 3] == 0.0:
-                    continue
-                count += 1
-                if image[y, x, 3] * image[other_y, other_x, 3] == 0.0:
-                    total += 3.0 * GRADIENT_LIMIT * UNCOVERED_GRADIENT
-                    continue
-                for channel in range(3):
-                    rendered = image[other_y, other_x, channel] - image[y, x, channel]
-                    taken = query[other_y, other_x, channel] - query[y, x, channel]
-                    total += min(abs(gain * rendered - taken), limit)
-    return float(total / (3.0 * GRADIENT_LIMIT * max(count, 1)))
+    rows = table.reshape((-1, EVIDENCE_BINS))
+    return image_cost(view, query, int(cost), fit_gain, LIMITS, UNCOVERED, rows, EVIDENCE_BIN)

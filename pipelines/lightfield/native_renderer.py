@@ -27,13 +27,8 @@ from pipelines.lightfield.blending import (
 from pipelines.lightfield.comparison import (
     EVIDENCE_BIN,
     EVIDENCE_BINS,
-    GRADIENT_LIMIT,
-    LARGEST_GAIN,
-    ROBUST_LIMIT,
-    UNCOVERED_GRADIENT,
-    UNCOVERED_ROBUST,
-    UNCOVERED_SQUARED,
-    UNCOVERED_ZNCC,
+    LIMITS,
+    UNCOVERED,
     Cost,
 )
 from pipelines.lightfield.net import MESH_LIMITS
@@ -52,9 +47,6 @@ from pipelines.lightfield.sample_store import SampleStore
 from pipelines.lightfield.view_index import ViewIndex
 from pipelines.lightfield.views import Views
 from pipelines.native import DepthSamples, LightField
-
-LIMITS = np.array([ROBUST_LIMIT, GRADIENT_LIMIT, LARGEST_GAIN])
-UNCOVERED = np.array([UNCOVERED_SQUARED, UNCOVERED_ROBUST, UNCOVERED_ZNCC, UNCOVERED_GRADIENT])
 
 
 @dataclass(frozen=True)

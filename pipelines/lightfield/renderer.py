@@ -18,10 +18,8 @@ from pipelines.artifacts.array_types import (
 from pipelines.artifacts.errors import OptionError, StageError
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
-from pipelines.lightfield.aligned_memory import aligned
-from pipelines.lightfield.blending import Blending, outlook_positions, tile_borders
+from pipelines.lightfield.blending import Blending
 from pipelines.lightfield.comparison import (
-    NO_TABLE,
     Cost,
     PixelEvidence,
     evidence_table,
@@ -29,18 +27,12 @@ from pipelines.lightfield.comparison import (
     prepared_pixels,
 )
 from pipelines.lightfield.devices import Device, chosen_gpu
-from pipelines.lightfield.kernels import NO_COMPARISON, render_nets, render_tiles
 from pipelines.lightfield.native_renderer import NativeRenderer
-from pipelines.lightfield.proxy import SOURCE_VIEWS, Quality, cell_size
+from pipelines.lightfield.proxy import Quality
 from pipelines.lightfield.proxy import usual_inverse_depth as median_inverse_depth
-from pipelines.lightfield.proxy_kernels import choose_sources, depth_surfaces, plane_surfaces
-from pipelines.lightfield.reference import frustum_positions
 from pipelines.lightfield.scene import Scene
-from pipelines.lightfield.splat_kernels import depth_samples
-from pipelines.lightfield.surface_room import surface_room_for
 from pipelines.lightfield.view_index import build_index
 from pipelines.lightfield.views import Views, views_of_scene, without_depth, without_view
-from pipelines.lightfield.workspace import LightField, Workspaces
 
 logger = logging.getLogger(__name__)
 
@@ -48,8 +40,6 @@ logger = logging.getLogger(__name__)
 # evenly between threads. Rendered images are kept; there it is so many pixels.
 POSES_TOGETHER = 256
 PIXELS_TOGETHER = 80_000
-# Their surfaces are kept for a moment.
-SURFACE_PIXELS_TOGETHER = 320_000
 ONE = np.float32(1.0)
 
 
@@ -143,17 +133,14 @@ class Renderer:
         if usual_inverse_depth is None:
             usual_inverse_depth = median_inverse_depth(self.views)
         self._usual_inverse_depth = usual_inverse_depth
-        self._field = LightField(
-            views=self.views.arrays,
-            view_index=build_index(self.views, usable),
-            usable=usable,
-            has_depth=quality is not Quality.PLANE,
-            is_net=blending is Blending.DELAUNAY,
-        )
-        self._spaces = Workspaces(self._field)
-        index, usual = self._field.view_index, self._usual_inverse_depth
-        self._native: NativeRenderer | None = NativeRenderer(
-            self.views, index, usable, plane, blending, quality, usual
+        self._native = NativeRenderer(
+            self.views,
+            build_index(self.views, usable),
+            usable,
+            plane,
+            blending,
+            quality,
+            usual_inverse_depth,
         )
 
     @classmethod
@@ -286,30 +273,14 @@ class Renderer:
             chosen, target = prepared_pixels(query)
         if evidence is not None:
             target[..., 3] *= ONE + evidence.rows(target[..., :3])
-        native = self._native
-        if native is not None:
-            seen = native.surfaces(poses, intrinsics)
+        surfaces = self._native.surfaces(poses, intrinsics)
 
-            def compare(part: slice) -> None:
-                costs[part] = native.costs(
-                    poses[part], seen[part], intrinsics, chosen, target, cost, fit_gain, table
-                )
-
-            self._run(compare, len(poses), POSES_TOGETHER)
-            return costs
-        surfaces = self._surfaces(poses, intrinsics, chosen)
-        vector, kind = intrinsics.vector(), int(cost)
-
-        def score(part: slice) -> None:
-            image = aligned(target.size, np.float32).reshape((1, *target.shape))
-            own, result = surfaces(part), costs[part]
-            self._render(
-                poses[part], vector, own, chosen, target, kind, fit_gain, table, image, result
+        def compare(part: slice) -> None:
+            costs[part] = self._native.costs(
+                poses[part], surfaces[part], intrinsics, chosen, target, cost, fit_gain, table
             )
 
-        pixels = intrinsics.width * intrinsics.height
-        together = max(1, min(POSES_TOGETHER, SURFACE_PIXELS_TOGETHER // pixels))
-        self._run(score, len(poses), together)
+        self._run(compare, len(poses), POSES_TOGETHER)
         return costs
 
     def _draw(
@@ -323,85 +294,9 @@ class Renderer:
         """
         poses = np.ascontiguousarray(world_from_camera, dtype=np.float64)
         shape = (len(poses), intrinsics.height, intrinsics.width)
-        if self._native is not None:
-            seen = self._native.surfaces(poses, intrinsics)
-            drawn, depths = self._native.draw(poses, seen, intrinsics, every_pixel(intrinsics))
-            return drawn.reshape((*shape, 4)), depths.reshape(shape)
-        images = np.empty((*shape, 4), dtype=np.float32)
-        no_query, no_costs = np.empty((0, 0, 4), dtype=np.float32), np.empty(0)
-        chosen = every_pixel(intrinsics)
-        surfaces = self._surfaces(poses, intrinsics, chosen)(slice(None))
-        vector, kind = intrinsics.vector(), NO_COMPARISON
-        self._render(
-            poses, vector, surfaces, chosen, no_query, kind, False, NO_TABLE, images, no_costs
-        )
-        return images, surfaces
-
-    def _surfaces(
-        self, poses: FloatArray, intrinsics: Intrinsics, chosen: Int32Array
-    ) -> Callable[[slice], Float32Array]:
-        """What makes the surfaces ``(B, H, W)`` that are seen from some of the poses.
-
-        They are whole, or at least where the ``chosen`` pixels are and views are chosen.
-        """
-        vector, size = intrinsics.vector(), (intrinsics.height, intrinsics.width)
-        if self.quality is Quality.PLANE:
-
-            def of_plane(part: slice) -> Float32Array:
-                surfaces = np.empty((len(poses[part]), *size), dtype=np.float32)
-                plane, rays = self.plane.coefficients(), np.empty((3, 3))
-                plane_surfaces(poses[part], vector, plane, rays, surfaces)
-                return surfaces
-
-            return of_plane
-        arrays, usual = self.views.arrays, self._usual_inverse_depth
-        spacing = float(cell_size(self.views, intrinsics, self.quality))
-        sources = np.empty((len(poses), SOURCE_VIEWS), dtype=np.int64)
-        is_source = np.empty(len(self.views), dtype=np.bool_)
-        choose_sources(arrays, usual, poses, np.empty(SOURCE_VIEWS), sources, is_source)
-        focal = 0.5 * (intrinsics.fx + intrinsics.fy)
-        samples = depth_samples(arrays, is_source, focal, spacing)
-        wanted = _surface_pixels(intrinsics, chosen)
-
-        def of_depths(part: slice) -> Float32Array:
-            surfaces = np.empty((len(poses[part]), *size), dtype=np.float32)
-            room = surface_room_for(intrinsics.width, intrinsics.height, spacing, wanted)
-            own = poses[part]
-            depth_surfaces(arrays, samples, sources[part], own, vector, spacing, room, surfaces)
-            return surfaces
-
-        return of_depths
-
-    def _render(
-        self,
-        poses: FloatArray,
-        intrinsics: FloatArray,
-        surfaces: Float32Array,
-        chosen: Int32Array,
-        query: Float32Array,
-        kind: int,
-        fit_gain: bool,
-        table: Float32Array,
-        images: Float32Array,
-        costs: FloatArray,
-    ) -> None:
-        """Renders and compares, see ``kernels.render_tiles``."""
-        render = render_nets if self._field.is_net else render_tiles
-        field = self._field
-        with self._spaces.one_for(surfaces.shape[2], surfaces.shape[1], chosen) as space:
-            render(
-                field,
-                poses,
-                intrinsics,
-                surfaces,
-                space,
-                query,
-                kind,
-                fit_gain,
-                table,
-                images,
-                costs,
-            )
+        surfaces = self._native.surfaces(poses, intrinsics)
+        drawn, depths = self._native.draw(poses, surfaces, intrinsics, every_pixel(intrinsics))
+        return drawn.reshape((*shape, 4)), depths.reshape(shape)
 
     def _run(self, work: Callable[[slice], None], count: int, most: int) -> None:
         """Does work on all of so many poses: at most so many in one call, some for every thread."""
@@ -424,15 +319,6 @@ class Renderer:
 def every_pixel(intrinsics: Intrinsics) -> Int32Array:
     """Indices ``(H W,)`` of all pixels of an image."""
     return np.arange(intrinsics.width * intrinsics.height, dtype=np.int32)
-
-
-def _surface_pixels(intrinsics: Intrinsics, chosen: Int32Array) -> Int32Array:
-    """Indices of the pixels at which rendering the chosen ones needs the surface, rising."""
-    is_needed = np.zeros((intrinsics.height, intrinsics.width), dtype=np.bool_)
-    is_needed.reshape(-1)[chosen] = True
-    for positions in (tile_borders, outlook_positions, frustum_positions):
-        is_needed[np.ix_(positions(intrinsics.height), positions(intrinsics.width))] = True
-    return np.flatnonzero(is_needed).astype(np.int32)
 
 
 def check_query(query: ImageArray | Float32Array, intrinsics: Intrinsics) -> None:

@@ -18,7 +18,6 @@ from pipelines.artifacts.array_types import (
     IntArray,
 )
 from pipelines.lightfield.blending import BORDER_SHARE
-from pipelines.lightfield.record_type import compiled_record
 from pipelines.lightfield.views import Views
 
 GROUP_VIEWS = 16
@@ -27,9 +26,8 @@ SIDES = 4
 VIEW_NUMBERS, GROUP_NUMBERS = 18, 4 + 4 * SIDES
 
 
-@compiled_record
 class ViewIndex(NamedTuple):
-    """S views, and the G groups that they form, in the form that compiled code takes.
+    """S views, and the G groups that they form, in the form that the C++ core takes.
 
     Attributes:
         origin: ``(3,)`` world coordinates of the origin in which all else is given, so that single

@@ -16,7 +16,6 @@ from pipelines.artifacts.array_types import Float32Array, FloatArray, ImageArray
 from pipelines.artifacts.progress import Progress, no_progress
 from pipelines.geometry.camera import Camera, Intrinsics, Undistorter
 from pipelines.geometry.pose import inverse
-from pipelines.lightfield.record_type import compiled_record
 from pipelines.lightfield.scene import Scene
 
 SMALLEST_LEVEL_SIDE = 8
@@ -25,9 +24,8 @@ SMALLEST_LEVEL_SIDE = 8
 BLOCK_SIDE = 4
 
 
-@compiled_record
 class ViewArrays(NamedTuple):
-    """The numbers of N posed pinhole photos, in the form that compiled code takes.
+    """The numbers of N posed pinhole photos, in the form that the C++ core takes.
 
     Attributes:
         texels: ``(T, 4)`` uint8, RGB and 255, by which weights are added up along with colours: all
