@@ -56,7 +56,7 @@ class ViewRenderer {
     /// Renders a view.
     ///
     /// @param image: (P, 4) receives it, see render().
-    LFNAV_INLINE void draw(std::size_t number, float* image) {
+    void draw(std::size_t number, float* image) {
         const VirtualCamera camera(views_.poses + 16 * number, views_.intrinsics);
         surface_->look_from(camera, number);
         surface_->set_inverse_depths(pixels_, seen_.data());
