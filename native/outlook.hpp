@@ -63,9 +63,9 @@ inline bool is_hidden(const Photos& photos, std::size_t photo, float u, float v,
 }
 
 /// Puts the best of a group's photos there if none before it was as good at a point.
-LFNAV_INLINE void look_at_group(const SurfacePoints& points, const Photos& photos,
-                                const PhotoIndex& index, std::size_t group,
-                                const PenaltySettings& settings, std::size_t place, Outlook& best) {
+inline void look_at_group(const SurfacePoints& points, const Photos& photos,
+                          const PhotoIndex& index, std::size_t group,
+                          const PenaltySettings& settings, std::size_t place, Outlook& best) {
     using Vector = FloatVector;
     constexpr std::size_t PHOTOS = PhotoIndex::GROUP_PHOTOS;
     const float* const numbers = index.blocks + PhotoIndex::PHOTO_NUMBERS * PHOTOS * group;
@@ -96,9 +96,8 @@ LFNAV_INLINE void look_at_group(const SurfacePoints& points, const Photos& photo
 /// Finds the photo with the smallest penalty at each point.
 ///
 /// @param bounds: (G, POINTS) overwritten.
-LFNAV_INLINE void look_out(const SurfacePoints& points, const Photos& photos,
-                           const PhotoIndex& index, const PenaltySettings& settings, float* bounds,
-                           Outlook& best) {
+inline void look_out(const SurfacePoints& points, const Photos& photos, const PhotoIndex& index,
+                     const PenaltySettings& settings, float* bounds, Outlook& best) {
     float promised[POINTS];
     std::size_t most_promising[POINTS];
     for (std::size_t i = 0; i < POINTS; ++i) {

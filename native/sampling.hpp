@@ -171,8 +171,8 @@ LFNAV_INLINE void leave_out_hidden(const DepthMap& map, PixelChunk& chunk, std::
 /// @tparam MAY_BE_HIDDEN: whether points do not count before which the photo has something nearer.
 /// @param focal: of the virtual camera, pixels.
 template <bool MAY_BE_HIDDEN>
-LFNAV_INLINE void blend_chunk(const Photos& photos, std::size_t photo, const Homography& homography,
-                              double focal, PixelChunk& chunk, std::size_t count, float* image) {
+void blend_chunk(const Photos& photos, std::size_t photo, const Homography& homography,
+                 double focal, PixelChunk& chunk, std::size_t count, float* image) {
     const std::size_t filled = (count + TOGETHER - 1) / TOGETHER * TOGETHER;
     for (std::size_t i = 0; i < TOGETHER; ++i) {
         chunk.weight[count + i] = 0.0F;

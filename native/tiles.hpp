@@ -64,7 +64,7 @@ class Tiling {
     ///
     /// @param surface: as it sees it.
     template <typename HomographyOf>
-    LFNAV_INLINE void choose(const VirtualCamera& camera, const Surface& surface, HomographyOf) {
+    void choose(const VirtualCamera& camera, const Surface& surface, HomographyOf) {
         const PhotoIndex& index = field_.index;
         const PenaltySettings& settings = field_.penalties;
         SurfacePoints points;
