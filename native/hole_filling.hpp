@@ -147,13 +147,13 @@ class HoleFilling {
         double shortest[2] = {PixelBox::LARGEST, PixelBox::LARGEST};
         std::size_t nearest[2] = {photos.count, photos.count};
         for (const Candidate& one : in_row_) {
-            const Place place = homography(one.photo).locate(x, y, inverse_depth);
-            if (place.depth <= 0.0 || !is_inside(photos, one.photo, place)) {
-                continue;
-            }
             const double across = one.centre.x - x, down = one.centre.y - y;
             const double distance = across * across + down * down;
-            if (distance >= std::max(shortest[0], shortest[1])) {
+            if (distance >= shortest[0]) {
+                continue;
+            }
+            const Place place = homography(one.photo).locate(x, y, inverse_depth);
+            if (place.depth <= 0.0 || !is_inside(photos, one.photo, place)) {
                 continue;
             }
             const DepthMap map(photos, one.photo, photos.size_of(one.photo));

@@ -252,7 +252,13 @@ def test_weights_are_those_of_the_readable_mesh(count: int, seed: int, arrangeme
     pose = looking(place, target, float(generator.uniform(-1.0, 1.0)))
     camera = pinhole(23, 17, float(generator.uniform(8.0, 60.0)))
     found = mesh_weights(centres, pose, camera)
-    np.testing.assert_allclose(found, reference_weights(centres, pose, camera), atol=1e-5)
+    # Between centres that are close together in the image weights are steep, and the tables hold
+    # them in single precision.
+    _, coefficients, regions, _ = meshes(centres, pose[None], camera)
+    reach = np.array([0.5 * camera.width, 0.5 * camera.height, 1.0, 0.0])
+    largest = (np.abs(coefficients[0]) @ reach).max(axis=-1)[regions[0]]
+    error = np.abs(found - reference_weights(centres, pose, camera)).max(axis=0)
+    assert np.all(error <= 2e-6 + 2.0 * np.finfo(np.float32).eps * largest)
 
 
 def test_only_photos_that_take_part_have_weights() -> None:
