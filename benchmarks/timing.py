@@ -69,7 +69,7 @@ def machine() -> dict[str, str]:
 def _versions() -> dict[str, str]:
     """Of the packages that matter, where they are installed."""
     found = {}
-    for name in ("lfnav", "numpy", "numba", "llvmlite", "scipy", "opencv-python-headless", "torch"):
+    for name in ("lfnav", "numpy", "scipy", "opencv-python-headless", "torch"):
         with contextlib.suppress(PackageNotFoundError):
             found[name] = version(name)
     return found

@@ -255,7 +255,7 @@ def done(inputs: Inputs, chosen: list[Task], workers: int) -> Iterator[tuple[Tas
     if workers == 1:
         yield from ((task, result_of(inputs, task)) for task in chosen)
         return
-    # Neither Mitsuba nor numba's threads survive a fork.
+    # Mitsuba does not survive a fork.
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, mp_context=context) as pool:
         running = {pool.submit(result_of, inputs, task): task for task in chosen}

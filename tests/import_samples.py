@@ -55,7 +55,7 @@ def refusal(
 
 
 def run_pycolmap(script: str, *arguments: Path) -> str:
-    """Runs a script that uses pycolmap in a process of its own, apart from numba."""
+    """Runs a script that uses pycolmap in a process of its own, where it may crash."""
     done = subprocess.run(
         [sys.executable, "-c", script, *map(os.fspath, arguments)],
         capture_output=True,

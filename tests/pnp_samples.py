@@ -1,7 +1,5 @@
 """A map of a few photos of the workshop at their true poses, for tests of poses by features."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -72,8 +70,3 @@ def workshop_finder(
         progress=no_progress,
         mask=mask,
     )
-
-
-def python(program: str) -> "subprocess.CompletedProcess[str]":
-    """Runs a program in a process of its own."""
-    return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)

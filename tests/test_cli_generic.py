@@ -17,7 +17,7 @@ from lfnav_cli import common
 from lfnav_cli.main import COMMANDS, main, module_of, stop_cleanly
 from pipelines.artifacts.errors import InputError, StageError
 
-HEAVY = {"numpy", "scipy", "cv2", "numba", "pycolmap", "matplotlib", "h5py", "PIL", "tqdm", "wgpu"}
+HEAVY = {"numpy", "scipy", "cv2", "pycolmap", "matplotlib", "h5py", "PIL", "tqdm", "wgpu"}
 
 # Arguments with which each command gets as far as looking at its input, which does not exist.
 INPUT_IS_MISSING = {

@@ -38,7 +38,7 @@ def write_contents(folder: Path, files: dict[str, bytes]) -> None:
 def test_colmap_itself_reads_the_same_model_and_its_pixels_are_half_a_pixel_further(
     model_folder: Path,
 ) -> None:
-    # In a process of its own: pycolmap and numba do not live together.
+    # In a process of its own, so that a crash fails this test alone.
     script = (
         "import pycolmap, sys, json\n"
         "r = pycolmap.Reconstruction(sys.argv[1])\n"

@@ -2,12 +2,8 @@
 
 import json
 import math
-import os
-import signal
 import subprocess
 import sys
-import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,28 +12,27 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from pipelines.artifacts.array_types import FloatArray
-from pipelines.artifacts.errors import OptionError, StageError
+from pipelines.artifacts.errors import OptionError
 from pipelines.dataset.dataset import PAIRING_TOLERANCE
 from pipelines.dataset.images import encode_png
 from pipelines.geometry.pose import inverse, pose_from_rotation
 from pipelines.lightfield.bundle import save_scene
-from pipelines.localize import pnp
+from pipelines.localize.feature_pose import find_features, match, pose_covariance
 from pipelines.localize.pnp import MIN_INLIERS, PnpAnswer, PnpLocalizer, covariance_at
-from pipelines.localize.pnp_worker import find_features, match, pose_covariance
 from pipelines.localize.run import load_run
 from pipelines.localize.state_space import PLANAR, SPATIAL, StateSpace
 from tests.chain_samples import first_frames, lfnav, succeed
 from tests.lightfield_samples import looking
-from tests.pnp_samples import DRIVE, FRAMES, WORKSHOP, python, workshop_finder, workshop_scene
+from tests.pnp_samples import DRIVE, FRAMES, WORKSHOP, workshop_finder, workshop_scene
 from tests.reconstruct_samples import texture
 
+ROOT = Path(__file__).parents[1]
 SCENE = workshop_scene()
 
 
 @pytest.fixture(scope="module")
-def finder() -> Iterator[PnpLocalizer]:
-    with workshop_finder(SCENE) as started:
-        yield started
+def finder() -> PnpLocalizer:
+    return workshop_finder(SCENE)
 
 
 def true_state(frame: int, space: StateSpace) -> FloatArray:
@@ -83,8 +78,7 @@ def test_an_image_of_nothing_has_no_pose(finder: PnpLocalizer, kind: str) -> Non
 def test_the_same_image_has_the_same_pose_with_any_number_of_threads(finder: PnpLocalizer) -> None:
     image = DRIVE.read_image(FRAMES[0])
     first = finder.locate(image)
-    with workshop_finder(SCENE, threads=1) as other:
-        second = other.locate(image)
+    second = workshop_finder(SCENE, threads=1).locate(image)
     assert first.state is not None
     assert second.state is not None
     assert first.state.tobytes() == second.state.tobytes()
@@ -93,16 +87,14 @@ def test_the_same_image_has_the_same_pose_with_any_number_of_threads(finder: Pnp
 
 def test_six_degrees_of_freedom_take_what_a_robot_on_the_floor_cannot_be() -> None:
     image = DRIVE.read_image(FRAMES[0])
-    with workshop_finder(SCENE, SPATIAL, height=0.5) as flying:
-        answer = flying.locate(image)
+    answer = workshop_finder(SCENE, SPATIAL, height=0.5).locate(image)
     assert answer.state is not None
     truth = true_state(FRAMES[0], SPATIAL)
     truth[2] += 0.5
     offset = SPATIAL.difference(answer.state, truth)
     assert np.linalg.norm(offset[:3]) < 0.05
     assert np.linalg.norm(offset[3:]) < math.radians(1.0)
-    with workshop_finder(SCENE, PLANAR, height=0.5) as standing:
-        refused = standing.locate(image)
+    refused = workshop_finder(SCENE, PLANAR, height=0.5).locate(image)
     assert refused.state is None
     assert refused.inliers == answer.inliers
 
@@ -112,61 +104,33 @@ def test_an_image_of_another_size_is_refused(finder: PnpLocalizer) -> None:
         finder.locate(np.zeros((48, 64, 3), dtype=np.uint8))
 
 
-@pytest.mark.parametrize(
-    ("program", "text"),
-    [
-        ("import os; os.abort()", r"localization by features crashed \(SIGABRT\)"),
-        ("raise RuntimeError('no memory left')", r"crashed \(exit code 1\): .*no memory left"),
-        ("input(); print('hello')", "said 'hello"),
-        ("input(); print('{}')", "said {}"),
-    ],
+TOGETHER = """
+import sys
+import numpy as np
+if sys.argv[1] == "pycolmap first":
+    import pycolmap
+from pipelines.localize.localizer import Localizer
+import pycolmap
+from pipelines.localize.settings import LocalizerSettings
+from tests.pnp_samples import DRIVE, FRAMES, workshop_finder, workshop_scene
+scene, image = workshop_scene(), DRIVE.read_image(FRAMES[0])
+localizer = Localizer(
+    scene, DRIVE.camera, DRIVE.base_from_camera, LocalizerSettings(), np.random.default_rng(0)
 )
-def test_a_crash_of_the_worker_is_one_line(
-    monkeypatch: pytest.MonkeyPatch, program: str, text: str
-) -> None:
-    monkeypatch.setattr(pnp, "WORKER_COMMAND", (sys.executable, "-c", program))
-    with pytest.raises(StageError, match=text) as caught, workshop_finder(SCENE):
-        raise AssertionError("a worker that does not answer was taken for one that does")
-    assert "\n" not in str(caught.value)
+localizer.step(image, None)
+grey = np.ascontiguousarray(image.mean(axis=2), dtype=np.float32) / 255.0
+assert len(pycolmap.Sift().extract(grey)[0]) > 100
+localizer.step(image, np.zeros(3))
+assert workshop_finder(scene).locate(image).state is not None
+"""
 
 
-def test_pycolmap_and_numba_never_share_a_process() -> None:
-    worker = "import pipelines.localize.pnp_worker, pycolmap, sys; sys.exit('numba' in sys.modules)"
-    assert python(worker).returncode == 0
-    # This process has run the parent's side.
-    assert "pipelines.localize.pnp_worker" in sys.modules
-    assert "pycolmap" not in sys.modules
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells a child of its parent's end")
-def test_the_worker_dies_with_its_parent(tmp_path: Path) -> None:
-    busy = (
-        "import time; from pipelines.artifacts.worker_process import die_with_parent;"
-        "die_with_parent(); print('{}', flush=True); time.sleep(60)"
+@pytest.mark.parametrize("order", ["pycolmap first", "lfnav first"])
+def test_pycolmap_and_the_filter_share_a_process(order: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", TOGETHER, order], cwd=ROOT, capture_output=True, text=True
     )
-    parent = (
-        "import sys, tempfile, time; from pathlib import Path\n"
-        "from pipelines.artifacts.worker_process import WorkerProcess\n"
-        f"with WorkerProcess((sys.executable, '-c', {busy!r}), Path(sys.argv[1]), 'x') as worker:\n"
-        "    worker.read()\n"
-        "    print(worker._process.pid, flush=True)\n"
-        "    time.sleep(60)\n"
-    )
-    command = [sys.executable, "-c", parent, str(tmp_path)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
-        assert process.stdout is not None
-        worker = int(process.stdout.readline())
-        process.kill()
-    deadline = time.monotonic() + 10.0
-    while Path(f"/proc/{worker}/cmdline").is_file() and time.monotonic() < deadline:
-        if not Path(f"/proc/{worker}/cmdline").read_bytes():
-            break  # Dead, and waiting for whoever inherited it to ask.
-        time.sleep(0.05)
-    else:
-        alive = Path(f"/proc/{worker}").exists()
-        if alive:
-            os.kill(worker, signal.SIGKILL)
-        assert not alive
+    assert done.returncode == 0, done.stderr
 
 
 def test_matches_are_the_best_both_ways_and_clearly_so() -> None:
@@ -218,15 +182,14 @@ def test_a_mask_holds_for_camera_images_and_not_for_the_map() -> None:
     mask[:, :213] = False
     # The board on the robot shows a piece of another photo of the map.
     image[:, :213] = DRIVE.read_image(FRAMES[1])[:, :213]
-    with workshop_finder(SCENE, mask=mask) as finder:
-        answer = finder.locate(image)
-        assert answer.inliers >= MIN_INLIERS
-        assert errors(answer, frame, PLANAR)[0] < 0.05
-        # What is masked changes nothing but features at the border.
-        image[:, :150] = 0
-        assert errors(finder.locate(image), frame, PLANAR)[0] < 0.05
-    with workshop_finder(SCENE, mask=~mask) as finder:
-        assert finder.locate(image).state is None
+    finder = workshop_finder(SCENE, mask=mask)
+    answer = finder.locate(image)
+    assert answer.inliers >= MIN_INLIERS
+    assert errors(answer, frame, PLANAR)[0] < 0.05
+    # What is masked changes nothing but features at the border.
+    image[:, :150] = 0
+    assert errors(finder.locate(image), frame, PLANAR)[0] < 0.05
+    assert workshop_finder(SCENE, mask=~mask).locate(image).state is None
     with pytest.raises(OptionError, match="the mask has the shape"):
         workshop_finder(SCENE, mask=mask[1:])
 

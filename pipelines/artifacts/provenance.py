@@ -16,7 +16,6 @@ from pipelines.artifacts.errors import InputError
 LIBRARIES = (
     "numpy",
     "scipy",
-    "numba",
     "h5py",
     "pillow",
     "pycolmap",

@@ -1,8 +1,8 @@
 """Work in a process of its own that talks in JSON lines.
 
-Some libraries do not live together in one process, and some bring it down when they fail. What they
-do is done by a worker: the parent starts it here, writes requests to its stdin and reads events
-from its stdout. Whatever libraries print goes to a log beside, of which the telling line is quoted
+Some libraries bring a process down when they fail, or cannot be stopped. What they do is done by a
+worker: the parent starts it here and reads events from its stdout; its stdin is open as long as
+the parent lives. Whatever libraries print goes to a log beside, of which the telling line is quoted
 when the worker ends before its time.
 """
 
@@ -91,21 +91,6 @@ class WorkerProcess:
         for line in output:
             self._lines.put(line)
         self._lines.put(None)
-
-    def write(self, request: Mapping[str, Any]) -> None:
-        """Hands the worker a request.
-
-        Raises:
-            StageError: the worker is gone.
-        """
-        stream = self._process.stdin
-        if stream is None:
-            raise StageError(f"the worker for {self._work} has no input")
-        try:
-            stream.write(json.dumps(request) + "\n")
-            stream.flush()
-        except OSError as error:
-            raise StageError(self._epitaph()) from error
 
     def read(self, timeout: float | None = None) -> dict[str, Any]:
         """The next thing that the worker says; ``queue.Empty`` after ``timeout`` seconds.

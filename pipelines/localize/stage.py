@@ -1,7 +1,6 @@
 """The stage ``localize``: a scene model and a data set in, a run out."""
 
 from collections.abc import Callable
-from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -157,37 +156,34 @@ def localize_dataset(
     body_poses = None
     if dataset.odometry is not None:
         body_poses = poses_at_images(dataset, dataset.odometry, odometry_source)
-    with ExitStack() as resources:
-        pnp = None
-        if settings.uses_pnp:
-            pnp = resources.enter_context(
-                PnpLocalizer(
-                    scene,
-                    camera,
-                    mount,
-                    space,
-                    seed=seed,
-                    threads=settings.threads,
-                    reconstruction=reconstruction,
-                    reconstruction_path=reconstruction_path,
-                    progress=progress,
-                    mask=mask,
-                )
-            )
-        rng = np.random.default_rng(seed)
-        localizer = None
-        if settings.method == "filter":
-            localizer = Localizer(scene, camera, mount, settings, rng, mask=mask)
-        locate = _locator(localizer, pnp, region_of(scene, settings), settings, rng)
-        frames = []
-        for index in progress(range(len(dataset)), "localize", len(dataset)):
-            increment = None
-            if index > 0 and body_poses is not None:
-                increment = space.increment(body_poses[index - 1], body_poses[index])
-            time, name = float(dataset.timestamps[index]), dataset.image_names[index]
-            frames.append(locate(dataset.read_image(index), increment, time, name))
-        if localizer is not None:
-            notes += localizer.notes
+    pnp = None
+    if settings.uses_pnp:
+        pnp = PnpLocalizer(
+            scene,
+            camera,
+            mount,
+            space,
+            seed=seed,
+            threads=settings.threads,
+            reconstruction=reconstruction,
+            reconstruction_path=reconstruction_path,
+            progress=progress,
+            mask=mask,
+        )
+    rng = np.random.default_rng(seed)
+    localizer = None
+    if settings.method == "filter":
+        localizer = Localizer(scene, camera, mount, settings, rng, mask=mask)
+    locate = _locator(localizer, pnp, region_of(scene, settings), settings, rng)
+    frames = []
+    for index in progress(range(len(dataset)), "localize", len(dataset)):
+        increment = None
+        if index > 0 and body_poses is not None:
+            increment = space.increment(body_poses[index - 1], body_poses[index])
+        time, name = float(dataset.timestamps[index]), dataset.image_names[index]
+        frames.append(locate(dataset.read_image(index), increment, time, name))
+    if localizer is not None:
+        notes += localizer.notes
     return Run(
         scene_identifier=scene.identifier,
         scene_path=scene_path,

@@ -1,8 +1,7 @@
 """COLMAP's binary model: ``cameras.bin``, ``images.bin`` and ``points3D.bin``.
 
-Read and written here and not by pycolmap: a process that has imported pycolmap aborts as soon as
-numba compiles a function in it (both bring a zlib of their own), and these files may come from
-strangers. Every count in a file is checked against the bytes that are there before it is believed.
+Read and written here and not by pycolmap, since these files may come from strangers. Every count
+in a file is checked against the bytes that are there before it is believed.
 
 This is also the one place where pixel conventions meet. COLMAP puts the centre of the top-left
 pixel at (0.5, 0.5), this project at (0, 0); everything that comes out of this module follows the

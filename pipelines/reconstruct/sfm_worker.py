@@ -1,9 +1,7 @@
 """Structure from motion with pycolmap, in a process of its own.
 
-Started by ``sfm`` as ``python -m pipelines.reconstruct.sfm_worker REQUEST``. Only workers
-import pycolmap, and they never import numba or anything that might: pycolmap brings a zlib of its
-own, and the two in one process abort. Nothing here but the standard library, pycolmap and the other
-end of the pipe.
+Started by ``sfm`` as ``python -m pipelines.reconstruct.sfm_worker REQUEST``. There it can be
+stopped, what pycolmap logs stays apart, and a crash is an error of one stage.
 
 Protocol: the request is a JSON file (``Request``); events are JSON lines on stdout; pycolmap's
 chatter goes to stderr; stdin stays open as long as the parent lives. A failed attempt is no error

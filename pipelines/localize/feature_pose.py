@@ -1,23 +1,13 @@
-"""The classical way to a camera's pose: SIFT, matches, perspective-n-point; a process of its own.
-
-Started by ``pnp`` as ``python -m pipelines.localize.pnp_worker SETTINGS``, and alive as long as its
-parent. It imports pycolmap and therefore never numba, nor anything that might.
+"""The classical way to a camera's pose: SIFT, matches, perspective-n-point.
 
 Features are Lowe's (2004), compared by the Hellinger distance (Arandjelovic, Zisserman 2012, "Three
 things everyone should know to improve object retrieval"). A match is the best both ways and clearly
 better than the second best. The pose comes from pycolmap: LO-RANSAC over minimal solutions, then
 robust refinement, with the camera's own distortion.
 
-Protocol: a JSON object a line on stdin, one as an answer on stdout. ``describe`` takes a photo of
-the map and answers the pixels of its features; ``landmarks`` says which of the last photo's have a
-place in the world; ``mask`` says where camera images are used (not 0); ``locate`` takes a camera
-image and answers its pose, or why there is none.
 Pixels have their centres at integers here and at .5 in pycolmap.
 """
 
-import base64
-import json
-import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -27,8 +17,8 @@ import cv2
 import numpy as np
 
 from pipelines.artifacts.array_types import Float32Array, FloatArray, ImageArray, IntArray
-from pipelines.artifacts.worker_process import die_with_parent, own_output
-from pipelines.reconstruct.colmap_model import PIXEL_CENTRE_SHIFT
+from pipelines.geometry.camera import Camera
+from pipelines.reconstruct.colmap_model import PIXEL_CENTRE_SHIFT, colmap_params
 
 CONTRAST = 0.02
 # The second best match is at least so many times as far.
@@ -44,13 +34,10 @@ FULLY_USED = 0.99
 
 
 @dataclass(frozen=True)
-class Settings:
-    """What the worker is told at its start.
+class FeatureSettings:
+    """How poses are found.
 
     Attributes:
-        camera_model: COLMAP's name for the camera that is located.
-        width, height: pixels of its images.
-        camera_params: COLMAP's parameters and pixel convention.
         max_size: features are sought in images reduced to this longer side.
         max_features: features an image.
         min_inliers: with fewer features that agree there is no pose.
@@ -58,15 +45,28 @@ class Settings:
         threads: photos that are compared at the same time; changes no result.
     """
 
-    camera_model: str
-    width: int
-    height: int
-    camera_params: list[float]
     max_size: int
     max_features: int
     min_inliers: int
     seed: int
     threads: int
+
+
+@dataclass(frozen=True)
+class FoundPose:
+    """What the features of an image say.
+
+    Attributes:
+        matches: features that match a landmark.
+        inliers: of these, those that agree on the pose.
+        camera_from_world: ``(3, 4)``; None: no pose.
+        covariance: ``(6, 6)`` of its error, see ``pose_covariance``; None where there is no pose.
+    """
+
+    matches: int
+    inliers: int = 0
+    camera_from_world: FloatArray | None = None
+    covariance: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -150,10 +150,12 @@ class PoseFinder:
     """Holds the map's landmarks and finds poses by them.
 
     Args:
-        settings: of the worker.
+        camera: that is located.
+        settings: how.
     """
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, camera: Camera, settings: FeatureSettings) -> None:
+        self._camera = camera
         self._settings = settings
         self._views: list[MapView] = []
         self._used: ImageArray | None = None
@@ -175,25 +177,21 @@ class PoseFinder:
         """Says where camera images ``(height, width)`` are used: where this is not 0."""
         self._used = used
 
-    def locate(self, grey: ImageArray) -> dict[str, Any]:
-        """The camera's pose when it took an image ``(height, width)``, as JSON; or the reason."""
+    def locate(self, grey: ImageArray) -> FoundPose:
+        """The camera's pose when it took an image ``(height, width)``."""
         import pycolmap
 
-        settings = self._settings
+        settings, own = self._settings, self._camera
         features = self._features(grey, self._used)
         rows, points = self._landmarks(features)
-        matched = len(np.unique(rows))
-        found = {"matches": matched, "inliers": 0}
-        if matched < settings.min_inliers:
-            return found
+        matches = len(np.unique(rows))
+        if matches < settings.min_inliers:
+            return FoundPose(matches)
         camera = pycolmap.Camera(
-            model=settings.camera_model,
-            width=settings.width,
-            height=settings.height,
-            params=settings.camera_params,
+            model=own.model, width=own.width, height=own.height, params=list(colmap_params(own))
         )
         options = pycolmap.AbsolutePoseEstimationOptions()
-        longer = max(settings.width, settings.height)
+        longer = max(own.width, own.height)
         options.ransac.max_error = max(SMALLEST_ERROR, LARGEST_ERROR_SHARE * longer)
         options.ransac.max_num_trials = RANSAC_TRIALS
         options.ransac.random_seed = settings.seed
@@ -202,22 +200,18 @@ class PoseFinder:
         pixels = features.pixels[rows] + PIXEL_CENTRE_SHIFT
         answer = pycolmap.estimate_and_refine_absolute_pose(pixels, points, camera, options)
         if answer is None:
-            return found
+            return FoundPose(matches)
         mask = np.asarray(answer["inlier_mask"], dtype=np.bool_)
         # A feature that is matched with several photos is still one piece of evidence.
-        found["inliers"] = len(np.unique(rows[mask]))
-        if found["inliers"] < settings.min_inliers:
-            return found
+        inliers = len(np.unique(rows[mask]))
+        if inliers < settings.min_inliers:
+            return FoundPose(matches, inliers)
         camera_from_world = np.asarray(answer["cam_from_world"].matrix(), dtype=np.float64)
-        repeats = int(mask.sum()) / found["inliers"]
+        repeats = int(mask.sum()) / inliers
         covariance = repeats * pose_covariance(
             camera, camera_from_world, pixels[mask], points[mask]
         )
-        return {
-            **found,
-            "camera_from_world": camera_from_world.tolist(),
-            "covariance": covariance.tolist(),
-        }
+        return FoundPose(matches, inliers, camera_from_world, covariance)
 
     def _features(self, grey: ImageArray, used: ImageArray | None = None) -> Features:
         return find_features(grey, self._settings.max_size, self._settings.max_features, used)
@@ -288,40 +282,3 @@ def pose_covariance(
     errors = np.asarray(camera.img_from_cam(local), dtype=np.float64) - pixels
     variance = float(np.sum(errors**2)) / max(1, 2 * len(points) - 6)
     return np.asarray(variance * np.linalg.pinv(jacobian.T @ jacobian))
-
-
-def answer_to(finder: PoseFinder, request: dict[str, Any]) -> dict[str, Any]:
-    """What one request leads to."""
-    task = request["do"]
-    if task == "describe":
-        return {"pixels": finder.describe(_decoded(request)).tolist()}
-    if task == "landmarks":
-        points = np.array(request["points"], dtype=np.float64).reshape(-1, 3)
-        finder.place(np.array(request["rows"], dtype=np.int64), points)
-        return {}
-    if task == "mask":
-        finder.use_only(_decoded(request))
-        return {}
-    if task == "locate":
-        return finder.locate(_decoded(request))
-    raise ValueError(f"unknown request {task!r}")
-
-
-def _decoded(request: dict[str, Any]) -> ImageArray:
-    data = np.frombuffer(base64.b64decode(request["image"]), dtype=np.uint8)
-    return data.reshape(request["height"], request["width"])
-
-
-def main(arguments: list[str]) -> None:
-    """Answers requests until the input ends."""
-    die_with_parent()
-    # Whatever a library prints must not mix with the answers.
-    answers = own_output()
-    finder = PoseFinder(Settings(**json.loads(arguments[0])))
-    for line in sys.stdin:
-        answers.write(json.dumps(answer_to(finder, json.loads(line))) + "\n")
-        answers.flush()
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])
