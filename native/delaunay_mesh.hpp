@@ -20,6 +20,7 @@
 #include "delaunay.hpp"
 #include "homography.hpp"
 #include "level.hpp"
+#include "region_map.hpp"
 #include "regions.hpp"
 #include "scatter.hpp"
 #include "virtual_views.hpp"
@@ -35,31 +36,14 @@ class DelaunayMesh {
         : settings_(settings),
           width_(width),
           height_(height),
-          middle_(middle),
-          x_(pixels.size()),
-          y_(pixels.size()),
-          before_(height * (width + 1)),
           first_columns_(height),
           end_columns_(height),
           inside_(height),
           delaunay_(settings.smallest_area),
-          pixels_(pixels.size()) {
-        const auto across = static_cast<std::int32_t>(width);
-        std::size_t count = 0;
-        for (std::size_t i = 0; i < before_.size(); ++i) {
-            before_[i] = static_cast<std::int32_t>(count);
-            const std::size_t row = i / (width + 1), column = i % (width + 1);
-            const auto pixel = static_cast<std::int32_t>(row * width + column);
-            count += column < width && count < pixels.size() && pixels[count] == pixel ? 1 : 0;
-        }
-        for (std::size_t i = 0; i < pixels.size(); ++i) {
-            x_[i] = static_cast<float>(pixels[i] % across - middle.x);
-            y_[i] = static_cast<float>(pixels[i] / across - middle.y);
-        }
-    }
+          map_(width, height, pixels, middle) {}
 
-    std::span<const Region> regions() const { return regions_; }
-    const RegionPixels& pixels() const { return pixels_; }
+    std::span<const Region> regions() const { return map_.regions(); }
+    const RegionPixels& pixels() const { return map_.pixels(); }
 
     /// Makes the mesh of some photos in a virtual image.
     ///
@@ -67,8 +51,7 @@ class DelaunayMesh {
     /// @param takes_part: (N,) which ones do; without any there are no regions.
     LFNAV_INLINE void build(const VirtualCamera& camera, const double* centres,
                             const bool* takes_part, std::size_t count) {
-        regions_.clear();
-        runs_.clear();
+        map_.clear();
         project(camera, centres, takes_part, count);
         if (!points_.empty()) {
             const double share = settings_.flatness * settings_.flatness;
@@ -80,7 +63,7 @@ class DelaunayMesh {
                 set_line(line_direction(camera));
             }
         }
-        order_pixels();
+        map_.sort_pixels();
     }
 
   private:
@@ -89,10 +72,6 @@ class DelaunayMesh {
         double value;
         std::int32_t index;
         auto operator<=>(const Key&) const = default;
-    };
-    /// Pixels of a region that follow each other in a row.
-    struct Run {
-        std::int32_t region, first, end;
     };
     struct HullEdge {
         std::int32_t first, second;
@@ -198,10 +177,10 @@ class DelaunayMesh {
                 end = std::min(std::max(end, x + 1), width_);
                 std::int32_t& region = region_of_[interval];
                 if (region < 0) {
-                    region = add_region(x, y);
+                    region = map_.add(x, y);
                     add_interval(interval, direction, place);
                 }
-                add_run(region, y, x, end);
+                map_.add_run(region, map_.before(y, x), map_.before(y, end));
                 x = end;
             }
         }
@@ -212,7 +191,7 @@ class DelaunayMesh {
         const Key& second = keys_[std::min(interval, keys_.size() - 1)];
         const double width = second.value - first.value;
         if (interval == 0 || interval == keys_.size() || !(width > 0.0)) {
-            add_photo(first.index, 0.0, 0.0, 1.0);
+            map_.add_photo(photos_[index(first.index)], 0.0, 0.0, 1.0);
         } else {
             add_ramp(first.index, second.index, direction.x / width, direction.y / width,
                      (place - first.value) / width);
@@ -239,11 +218,10 @@ class DelaunayMesh {
         });
         region_of_.assign(2 * hull_.size(), -1);
         for (std::size_t row = 0; row < height_ && !hull_.empty(); ++row) {
-            const std::int32_t* const before = before_.data() + row * (width_ + 1);
             const auto [first, end] = inside_[row];
-            fill_outside(before[0], before[std::min(first, width_)]);
+            fill_outside(map_.before(row, 0), map_.before(row, std::min(first, width_)));
             if (first < end) {
-                fill_outside(before[end], before[width_]);
+                fill_outside(map_.before(row, end), map_.before(row, width_));
             }
         }
         return !hull_.empty();
@@ -304,12 +282,13 @@ class DelaunayMesh {
             origin = origin.first < width_ ? origin : std::pair{first_column, row};
             inside_[row].first = std::min(inside_[row].first, first_column);
             inside_[row].second = std::max(inside_[row].second, end_column);
-            const std::int32_t* const before = before_.data() + row * (width_ + 1);
-            if (before[first_column] < before[end_column]) {
+            const std::int32_t from = map_.before(row, first_column);
+            const std::int32_t to = map_.before(row, end_column);
+            if (from < to) {
                 if (region < 0) {
                     region = add_triangle(triangle, origin.first, origin.second);
                 }
-                runs_.push_back({region, before[first_column], before[end_column]});
+                map_.add_run(region, from, to);
             }
         }
     }
@@ -317,14 +296,14 @@ class DelaunayMesh {
     /// Weights are barycentric coordinates.
     std::int32_t add_triangle(const Delaunay::Triangle& triangle, std::size_t column,
                               std::size_t row) {
-        const std::int32_t region = add_region(column, row);
+        const std::int32_t region = map_.add(column, row);
         const auto corner = [&](std::size_t i) { return points_[index(triangle.corner[i % 3])]; };
         const Point origin = {static_cast<double>(column), static_cast<double>(row)};
         const double share = 1.0 / area(corner(0), corner(1), corner(2));
         for (std::size_t i = 0; i < 3; ++i) {
             const Point p = corner(i + 1), q = corner(i + 2);
-            add_photo(triangle.corner[i], (p.y - q.y) * share, (q.x - p.x) * share,
-                      area(origin, p, q) * share);
+            map_.add_photo(photos_[index(triangle.corner[i])], (p.y - q.y) * share,
+                           (q.x - p.x) * share, area(origin, p, q) * share);
         }
         return region;
     }
@@ -346,15 +325,15 @@ class DelaunayMesh {
             if (region < 0) {
                 region = add_outer_region(part);
             }
-            runs_.push_back({region, first, last + 1});
+            map_.add_run(region, first, last + 1);
             first = last + 1;
         }
     }
 
     /// The hull edge whose strip a pixel is in or, plus their number, whose first corner's wedge.
     LFNAV_INLINE std::size_t nearest_part(std::int32_t pixel) const {
-        const Point p = {static_cast<double>(x_[index(pixel)]) + middle_.x,
-                         static_cast<double>(y_[index(pixel)]) + middle_.y};
+        const auto [column, row] = map_.place_of(pixel);
+        const Point p = {column, row};
         std::size_t nearest = 0;
         double shortest = std::numeric_limits<double>::infinity();
         for (std::size_t i = 0; i < hull_.size(); ++i) {
@@ -380,9 +359,9 @@ class DelaunayMesh {
         const HullEdge& edge = hull_[part % hull_.size()];
         const std::size_t column = column_from(edge.start.x),
                           row = index(rounded_up(edge.start.y, static_cast<double>(height_)));
-        const std::int32_t region = add_region(column, row);
+        const std::int32_t region = map_.add(column, row);
         if (part >= hull_.size()) {
-            add_photo(edge.first, 0.0, 0.0, 1.0);
+            map_.add_photo(photos_[index(edge.first)], 0.0, 0.0, 1.0);
         } else {
             const double a = edge.dx * edge.per_square, b = edge.dy * edge.per_square;
             add_ramp(edge.first, edge.second, a, b,
@@ -392,91 +371,14 @@ class DelaunayMesh {
         return region;
     }
 
-    std::int32_t add_region(std::size_t column, std::size_t row) {
-        Region& region = regions_.emplace_back();
-        region.left = static_cast<float>(static_cast<std::int32_t>(column) - middle_.x);
-        region.top = static_cast<float>(static_cast<std::int32_t>(row) - middle_.y);
-        return static_cast<std::int32_t>(regions_.size()) - 1;
-    }
-
-    /// Adds a photo to the last region.
-    ///
-    /// @param corner: index of its centre's projection.
-    void add_photo(std::int32_t corner, double a, double b, double c) {
-        Region& region = regions_.back();
-        const std::size_t slot = region.count++;
-        region.photo[slot] = photos_[index(corner)];
-        region.a[slot] = static_cast<float>(a);
-        region.b[slot] = static_cast<float>(b);
-        region.c[slot] = static_cast<float>(c);
-    }
-
-    /// Adds two photos whose weights sum up to 1; given are those of the second one.
+    /// Adds the photos of two corners whose weights sum up to 1; given are those of the second one.
     void add_ramp(std::int32_t first, std::int32_t second, double a, double b, double c) {
-        add_photo(first, -a, -b, 1.0 - c);
-        add_photo(second, a, b, c);
-    }
-
-    void add_run(std::int32_t region, std::size_t row, std::size_t column, std::size_t end) {
-        const std::int32_t* const before = before_.data() + row * (width_ + 1);
-        if (before[column] < before[end]) {
-            runs_.push_back({region, before[column], before[end]});
-        }
-    }
-
-    /// Sorts the pixels by their regions.
-    LFNAV_INLINE void order_pixels() {
-        std::vector<std::size_t>& starts = pixels_.starts;
-        starts.assign(regions_.size() + 2, 0);
-        if (!regions_.empty()) {
-            std::size_t total = 0;
-            for (const Run& run : runs_) {
-                total += index(run.end - run.first);
-            }
-            if (total != x_.size()) {
-                separate_runs();
-            }
-        }
-        // Two behind its own place: what begins there moves on to its end.
-        for (const Run& run : runs_) {
-            starts[index(run.region) + 2] += index(run.end - run.first);
-        }
-        for (std::size_t region = 0; region < regions_.size(); ++region) {
-            starts[region + 2] += starts[region + 1];
-        }
-        for (const Run& run : runs_) {
-            std::size_t& start = starts[index(run.region) + 1];
-            const std::size_t first = index(run.first), count = index(run.end - run.first);
-            for (std::size_t i = 0; i < count; ++i) {
-                pixels_.x[start + i] = x_[first + i];
-                pixels_.y[start + i] = y_[first + i];
-                pixels_.place[start + i] = run.first + static_cast<std::int32_t>(i);
-            }
-            start += count;
-        }
-        starts.pop_back();
-    }
-
-    /// Gives each pixel one region, where rounding left some to none or to several.
-    void separate_runs() {
-        region_of_.assign(x_.size(), 0);
-        for (const Run& run : runs_) {
-            std::fill(region_of_.begin() + run.first, region_of_.begin() + run.end, run.region);
-        }
-        runs_.clear();
-        for (std::size_t i = 0; i < x_.size(); ++i) {
-            const auto pixel = static_cast<std::int32_t>(i);
-            runs_.push_back({region_of_[i], pixel, pixel + 1});
-        }
+        map_.add_photo(photos_[index(first)], -a, -b, 1.0 - c);
+        map_.add_photo(photos_[index(second)], a, b, c);
     }
 
     MeshSettings settings_;
     std::size_t width_, height_;
-    Middle middle_;
-    /// Of the pixels, from the image's middle; and how many of them are before each place, with one
-    /// more place behind each row.
-    std::vector<float> x_, y_;
-    std::vector<std::int32_t> before_;
     /// Corners of the mesh: where they are, and the photos that were taken there.
     std::vector<Point> points_;
     std::vector<std::int32_t> photos_;
@@ -490,9 +392,7 @@ class DelaunayMesh {
     std::vector<HullEdge> hull_;
     /// Of intervals, or of strips and wedges; -1: none yet.
     std::vector<std::int32_t> region_of_;
-    std::vector<Run> runs_;
-    std::vector<Region> regions_;
-    RegionPixels pixels_;
+    RegionMap map_;
 };
 
 }  // namespace lfnav::LFNAV_LEVEL

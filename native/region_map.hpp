@@ -1,0 +1,153 @@
+// Which pixels of a virtual image are in which region: put together run by run, then sorted.
+
+#pragma once
+
+#include <algorithm>
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <utility>
+#include <vector>
+
+#include "homography.hpp"
+#include "level.hpp"
+#include "regions.hpp"
+
+namespace lfnav::LFNAV_LEVEL {
+
+/// Makes one map after the other in the same memory.
+class RegionMap {
+  public:
+    /// @param pixels: those that are rendered, indices in the image, rising.
+    RegionMap(std::size_t width, std::size_t height, std::span<const std::int32_t> pixels,
+              const Middle& middle)
+        : width_(width),
+          middle_(middle),
+          x_(pixels.size()),
+          y_(pixels.size()),
+          before_(height * (width + 1)),
+          pixels_(pixels.size()) {
+        const auto across = static_cast<std::int32_t>(width);
+        std::size_t count = 0;
+        for (std::size_t i = 0; i < before_.size(); ++i) {
+            before_[i] = static_cast<std::int32_t>(count);
+            const std::size_t row = i / (width + 1), column = i % (width + 1);
+            const auto pixel = static_cast<std::int32_t>(row * width + column);
+            count += column < width && count < pixels.size() && pixels[count] == pixel ? 1 : 0;
+        }
+        for (std::size_t i = 0; i < pixels.size(); ++i) {
+            x_[i] = static_cast<float>(pixels[i] % across - middle.x);
+            y_[i] = static_cast<float>(pixels[i] / across - middle.y);
+        }
+    }
+
+    std::span<const Region> regions() const { return regions_; }
+    const RegionPixels& pixels() const { return pixels_; }
+
+    void clear() {
+        regions_.clear();
+        runs_.clear();
+    }
+
+    /// How many of the pixels are before a place; a row's last column may be one behind its end.
+    std::int32_t before(std::size_t row, std::size_t column) const {
+        return before_[row * (width_ + 1) + column];
+    }
+
+    /// Column and row of one of the pixels.
+    std::pair<double, double> place_of(std::int32_t pixel) const {
+        return {static_cast<double>(x_[index(pixel)]) + middle_.x,
+                static_cast<double>(y_[index(pixel)]) + middle_.y};
+    }
+
+    /// Adds a region whose weights count from a place; returns its number.
+    std::int32_t add(std::size_t column, std::size_t row) {
+        Region& region = regions_.emplace_back();
+        region.left = static_cast<float>(static_cast<std::int32_t>(column) - middle_.x);
+        region.top = static_cast<float>(static_cast<std::int32_t>(row) - middle_.y);
+        return static_cast<std::int32_t>(regions_.size()) - 1;
+    }
+
+    /// Adds a photo to the last region, with weight a x + b y + c.
+    void add_photo(std::int32_t photo, double a, double b, double c) {
+        Region& region = regions_.back();
+        const std::size_t slot = region.count++;
+        region.photo[slot] = photo;
+        region.a[slot] = static_cast<float>(a);
+        region.b[slot] = static_cast<float>(b);
+        region.c[slot] = static_cast<float>(c);
+    }
+
+    /// Adds pixels that follow each other to a region.
+    void add_run(std::int32_t region, std::int32_t first, std::int32_t end) {
+        if (first < end) {
+            runs_.push_back({region, first, end});
+        }
+    }
+
+    /// Sorts the pixels by their regions.
+    LFNAV_INLINE void sort_pixels() {
+        std::vector<std::size_t>& starts = pixels_.starts;
+        starts.assign(regions_.size() + 2, 0);
+        if (!regions_.empty()) {
+            std::size_t total = 0;
+            for (const Run& run : runs_) {
+                total += index(run.end - run.first);
+            }
+            if (total != x_.size()) {
+                separate_runs();
+            }
+        }
+        // Two behind its own place: what begins there moves on to its end.
+        for (const Run& run : runs_) {
+            starts[index(run.region) + 2] += index(run.end - run.first);
+        }
+        for (std::size_t region = 0; region < regions_.size(); ++region) {
+            starts[region + 2] += starts[region + 1];
+        }
+        for (const Run& run : runs_) {
+            std::size_t& start = starts[index(run.region) + 1];
+            const std::size_t first = index(run.first), count = index(run.end - run.first);
+            for (std::size_t i = 0; i < count; ++i) {
+                pixels_.x[start + i] = x_[first + i];
+                pixels_.y[start + i] = y_[first + i];
+                pixels_.place[start + i] = run.first + static_cast<std::int32_t>(i);
+            }
+            start += count;
+        }
+        starts.pop_back();
+    }
+
+  private:
+    /// Pixels of a region that follow each other.
+    struct Run {
+        std::int32_t region, first, end;
+    };
+
+    static std::size_t index(std::int32_t i) { return static_cast<std::size_t>(i); }
+
+    /// Gives each pixel one region, where rounding left some to none or to several.
+    void separate_runs() {
+        region_of_.assign(x_.size(), 0);
+        for (const Run& run : runs_) {
+            std::fill(region_of_.begin() + run.first, region_of_.begin() + run.end, run.region);
+        }
+        runs_.clear();
+        for (std::size_t i = 0; i < x_.size(); ++i) {
+            const auto pixel = static_cast<std::int32_t>(i);
+            runs_.push_back({region_of_[i], pixel, pixel + 1});
+        }
+    }
+
+    std::size_t width_;
+    Middle middle_;
+    /// Of the pixels, from the image's middle; and how many of them are before each place, with one
+    /// more place behind each row.
+    std::vector<float> x_, y_;
+    std::vector<std::int32_t> before_, region_of_;
+    std::vector<Run> runs_;
+    std::vector<Region> regions_;
+    RegionPixels pixels_;
+};
+
+}  // namespace lfnav::LFNAV_LEVEL
