@@ -20,10 +20,21 @@ constexpr std::array<std::pair<InstructionSet, std::string_view>, 3> NAMES{
 InstructionSet of_processor() {
 #ifdef LFNAV_SEVERAL_LEVELS
     __builtin_cpu_init();
-    if (__builtin_cpu_supports("x86-64-v4")) {
+#if defined(__clang__) && __clang_major__ < 18
+    // These know no levels, only features: those by which processors of a level are told.
+    const bool is_v3 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") &&
+                       __builtin_cpu_supports("bmi") && __builtin_cpu_supports("bmi2");
+    const bool is_v4 = is_v3 && __builtin_cpu_supports("avx512f") &&
+                       __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512cd") &&
+                       __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl");
+#else
+    const bool is_v3 = __builtin_cpu_supports("x86-64-v3");
+    const bool is_v4 = __builtin_cpu_supports("x86-64-v4");
+#endif
+    if (is_v4) {
         return InstructionSet::X86_64_V4;
     }
-    if (__builtin_cpu_supports("x86-64-v3")) {
+    if (is_v3) {
         return InstructionSet::X86_64_V3;
     }
 #endif

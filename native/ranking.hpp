@@ -136,7 +136,7 @@ LFNAV_INLINE Sight<Vector> sight_of(const PointVector<Vector>& point, NumberAt n
     const Vector near_border = strip / larger(margin, settings.smallest_margin * strip) - 1.0F;
     const Vector penalty =
         from.chord + settings.resolution * coarser + settings.border * larger(near_border, zero);
-    return {(depth > zero) & (margin >= zero) ? penalty : zero + NEVER, u, v, depth};
+    return {((depth > zero) & (margin >= zero)) ? penalty : zero + NEVER, u, v, depth};
 }
 
 /// A photo's penalties without those of points before which it has something nearer.

@@ -36,8 +36,9 @@ class RegionMap {
             count += column < width && count < pixels.size() && pixels[count] == pixel ? 1 : 0;
         }
         for (std::size_t i = 0; i < pixels.size(); ++i) {
-            x_[i] = static_cast<float>(pixels[i] % across - middle.x);
-            y_[i] = static_cast<float>(pixels[i] / across - middle.y);
+            const std::int32_t column = pixels[i] % across, row = pixels[i] / across;
+            x_[i] = static_cast<float>(column - middle.x);
+            y_[i] = static_cast<float>(row - middle.y);
         }
     }
 

@@ -47,8 +47,9 @@ class ViewRenderer {
           inverse_depth_(views.pixels.size() + TOGETHER) {
         const auto width = static_cast<std::int32_t>(views.width);
         for (std::size_t i = 0; i < seen_.size(); ++i) {
-            pixels_.x[i] = static_cast<float>(views.pixels[i] % width);
-            pixels_.y[i] = static_cast<float>(views.pixels[i] / width);
+            const std::int32_t column = views.pixels[i] % width, row = views.pixels[i] / width;
+            pixels_.x[i] = static_cast<float>(column);
+            pixels_.y[i] = static_cast<float>(row);
         }
         surface_->prepare(pixels_);
     }

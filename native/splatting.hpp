@@ -131,9 +131,11 @@ class Splatting {
                             const VertexGrid& grid, std::size_t target) {
         // Points nearer to the camera's plane than this share of their recorded depth do not count.
         constexpr float SMALLEST_DEPTH = 1e-9F;
-        const auto [u0, u1, u2, u3] = projection.column;
-        const auto [v0, v1, v2, v3] = projection.row;
-        const auto [w0, w1, w2, w3] = projection.depth;
+        // Copies with names: no compiler but GCC takes structured bindings into the loop below.
+        const auto u_of = projection.column, v_of = projection.row, w_of = projection.depth;
+        const float u0 = u_of[0], u1 = u_of[1], u2 = u_of[2], u3 = u_of[3];
+        const float v0 = v_of[0], v1 = v_of[1], v2 = v_of[2], v3 = v_of[3];
+        const float w0 = w_of[0], w1 = w_of[1], w2 = w_of[2], w3 = w_of[3];
         const auto right = static_cast<float>(grid.width), bottom = static_cast<float>(grid.height);
         const auto stride = static_cast<std::int32_t>(grid.stride());
         const auto behind = static_cast<std::int32_t>(grid.count());
