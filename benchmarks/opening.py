@@ -1,17 +1,15 @@
-"""How long it takes until something can be asked: opening a scene model, and the front door.
+"""How long it takes until something can be asked of a scene model.
 
 Opening is ``load_scene``: all bytes are read, checksums and hash verified, everything checked. What
 localization does next, building views of 320 pixels, decodes every photo, and is timed apart.
 """
 
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
 
-from benchmarks.processes import process_times
 from benchmarks.scenes import repeated
-from benchmarks.timing import Timing, median_times, medians, timing_table
+from benchmarks.timing import median_times, timing_table
 from pipelines.lightfield.bundle import load_scene, save_scene
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.size_budget import LOCALIZE_SIDE
@@ -22,7 +20,7 @@ TURNS = 7
 
 
 def measure(scene: Scene) -> dict[str, Any]:
-    """Seconds to open a scene of ``VIEWS`` views without depth maps, and of ``lfnav --help``."""
+    """Seconds to open a scene of ``VIEWS`` views without depth maps."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "scene.h5"
         save_scene(path, repeated(scene, VIEWS), overwrite=False)
@@ -35,7 +33,6 @@ def measure(scene: Scene) -> dict[str, Any]:
             TURNS,
         )
         camera, size = opened.cameras[0], path.stat().st_size
-    times["lfnav --help"] = help_time()
     return {
         "opening": {
             "views": VIEWS,
@@ -45,13 +42,6 @@ def measure(scene: Scene) -> dict[str, Any]:
             "times": {name: value.to_dict() for name, value in times.items()},
         }
     }
-
-
-def help_time() -> Timing:
-    """Median times of ``lfnav --help`` in a process of its own."""
-    command = [sys.executable, "-m", "lfnav_cli.main", "--help"]
-    process_times(command, turns=1)
-    return medians(process_times(command, TURNS))
 
 
 def table(results: dict[str, Any]) -> str:

@@ -1,7 +1,7 @@
 """How things are measured: medians of CPU and wall time over repeats, and on what machine.
 
 What is compared takes turns (A B A B ...), so that a busy machine slows all alike; the first turn,
-in which compiled functions are loaded, does not count.
+in which memory and the processor's caches are still to be filled, does not count.
 """
 
 import contextlib

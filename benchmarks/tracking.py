@@ -69,7 +69,7 @@ def measure(scene: Scene) -> dict[str, Any]:
     dataset = load_dataset(ELEVATORS / "test")
     drives: dict[str, list[list[Frame]]] = {name: [] for name in SETTINGS}
     for settings in SETTINGS.values():
-        # Compiled functions are loaded.
+        # Libraries are loaded, and what is made once.
         drive(scene, dataset, settings, 0, most=3)
     for seed in range(DRIVES):
         for name, settings in SETTINGS.items():

@@ -69,7 +69,7 @@ def run_locally(runs: Sequence[SweepRun], processes: int) -> Iterator[tuple[Swee
 
 
 def _started() -> _Worker:
-    """A new process; not forked, since compiled code and threads do not survive that."""
+    """A new process; not forked, since threads do not survive that."""
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe()
     process = context.Process(target=_serve, args=(there,), daemon=True)

@@ -249,7 +249,7 @@ def _outcomes(tasks: Sequence[Task], workers: int) -> Iterator[_Outcome]:
     if workers == 1:
         yield from map(_outcome, tasks)
         return
-    # Not forked, since compiled code and threads do not survive that.
+    # Not forked, since threads do not survive that.
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, mp_context=context) as pool:
         try:

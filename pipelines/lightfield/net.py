@@ -3,7 +3,8 @@
 Heigl, Denzler, Niemann (2001), section 2: the projection centres of the recorded views, projected
 into the virtual camera, form a net of triangles by Delaunay triangulation; inside a triangle the
 views at its corners are blended with weights that are 1 at the own corner and 0 at the other two.
-This module is the readable version, on SciPy's triangulation; ``net_kernels`` is the fast one.
+This module is the readable version, on SciPy's triangulation; ``native/delaunay_mesh.hpp`` is the
+fast one.
 """
 
 from dataclasses import dataclass

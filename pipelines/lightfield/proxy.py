@@ -4,7 +4,8 @@ Two sources. One plane for the whole scene: its inverse depth is linear in the p
 depth maps: those of the nearest views are projected into the virtual image, and the points nearest
 to the virtual camera are the corners of a mesh that follows the surface. As in the paper, the
 surface is approximated anew for every virtual view, and only where it is seen. ``Quality`` sets the
-size of the mesh's cells. This is the readable version; ``proxy_kernels`` is the fast one.
+size of the mesh's cells. This is the readable version; ``native/depth_surface.hpp`` is the fast
+one.
 """
 
 from enum import IntEnum

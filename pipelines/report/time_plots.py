@@ -21,7 +21,7 @@ PANEL_HEIGHT = 1.75
 # From this ratio of largest to median on, a linear axis would press the interesting part flat.
 LOG_RATIO = 12.0
 # A bar this many times longer than the second longest is cut: the first frame's, for example,
-# in which code is compiled.
+# which searches the whole map.
 TOWERING = 4.0
 # Metres or radians; below lies rounding.
 SAME_PLACE = 1e-6
