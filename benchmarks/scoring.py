@@ -5,7 +5,6 @@ it is tracked, and are scored as the filter does by default: evidence of local c
 in five, photos eight times as fine as the comparison. Beside that stands what all pixels cost.
 """
 
-import os
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -16,7 +15,7 @@ from benchmarks.scenes import ELEVATORS, repeated, with_wall_as_depth
 from benchmarks.timing import Timing, markdown_table, median_times
 from pipelines.artifacts.array_types import FloatArray
 from pipelines.dataset.dataset import load_dataset
-from pipelines.lightfield.devices import Device
+from pipelines.lightfield.devices import Device, processor_count
 from pipelines.lightfield.proxy import Quality
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.likelihood import LIKELIHOODS, ONE_PIXEL_IN
@@ -83,7 +82,7 @@ def model_of(
 
 def by_size(scene: Scene) -> dict[str, dict[str, Timing]]:
     """Time a particle: way -> size; both surfaces, few and many particles, one thread and all."""
-    processors = len(os.sched_getaffinity(0))
+    processors = processor_count()
     scenes = {"plane": scene, "depth": with_wall_as_depth(scene)}
     images = observations()
     result: dict[str, dict[str, Timing]] = {}

@@ -5,7 +5,6 @@ in which memory and the processor's caches are still to be filled, does not coun
 """
 
 import contextlib
-import os
 import platform
 import statistics
 import time
@@ -13,6 +12,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+
+from pipelines.lightfield.devices import processor_count
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ def machine() -> dict[str, str]:
     if information.is_file():
         lines = information.read_text(encoding="utf-8").splitlines()
         cpu = next((line.split(":")[1].strip() for line in lines if "model name" in line), cpu)
-    processors = str(len(os.sched_getaffinity(0)))
+    processors = str(processor_count())
     python = platform.python_version()
     return {"cpu": cpu, "processors": processors, "python": python, **_versions()}
 

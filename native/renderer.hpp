@@ -1,5 +1,5 @@
-// Virtual views of a light field, over a plane or depth maps, blended as an unstructured lumigraph,
-// and what they cost against a camera image. The readable version is
+// Virtual views of a light field, over a plane or depth maps, blended by tiles or by the Delaunay
+// mesh, and what they cost against a camera image. The readable version is
 // pipelines/lightfield/reference.py.
 
 #pragma once

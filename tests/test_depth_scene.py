@@ -1,7 +1,6 @@
 """Scenes with depth maps: given or computed, judged by photos they do not hold, and bad depth."""
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -107,7 +106,7 @@ def test_finished_depth_maps_are_not_computed_again(
 
     settings = ModelSettings(geometry="depth", plane=(0.0, 1.0, 0.0, 0.0))
     path = tmp_path / "scene.h5"
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0})
+    monkeypatch.setattr(depth_maps, "processor_count", lambda: 1)
     monkeypatch.setattr(depth_maps, "estimate_depth", until_killed)
     with pytest.raises(KeyboardInterrupt):
         model(reconstruction, path, settings, overwrite=False, progress=no_progress)

@@ -1,7 +1,6 @@
 """The stage ``sweep``: many runs of the filter, one table, and figures."""
 
 import logging
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +27,7 @@ from pipelines.experiments.sweep_tables import (
     rows_for_people,
 )
 from pipelines.experiments.sweep_workers import run_locally
+from pipelines.lightfield.devices import processor_count
 
 # The config of the last sweep into a folder; also tells that the folder is a sweep's.
 CONFIG_COPY = "sweep.toml"
@@ -143,7 +143,7 @@ def _outcomes(
         OptionError: Dask is not installed, or no scheduler answers.
     """
     if scheduler is None:
-        return run_locally(runs, processes or len(os.sched_getaffinity(0)))
+        return run_locally(runs, processes or processor_count())
     try:
         from pipelines.experiments.sweep_cluster import run_on_cluster
     except ImportError as error:

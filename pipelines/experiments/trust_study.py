@@ -1,7 +1,6 @@
 """Runs under many conditions, and whether what they state can be trusted."""
 
 import multiprocessing
-import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -23,6 +22,7 @@ from pipelines.experiments.sweep_result import judged
 from pipelines.experiments.trust_conditions import Condition
 from pipelines.lightfield.bundle import load_scene
 from pipelines.lightfield.channels import Channels
+from pipelines.lightfield.devices import processor_count
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.run import Run
 from pipelines.localize.settings import LocalizerSettings
@@ -118,7 +118,7 @@ def rows_of(
     """
     if workers < 1:
         raise OptionError(f"{workers} workers cannot do any work; give at least 1")
-    threads = max(1, len(os.sched_getaffinity(0)) // workers)
+    threads = max(1, processor_count() // workers)
     tasks = tasks_of(conditions, threads)
     rows = []
     outcomes = _outcomes(tasks, workers)

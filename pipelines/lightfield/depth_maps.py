@@ -9,7 +9,6 @@ import hashlib
 import io
 import json
 import logging
-import os
 import shutil
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -30,6 +29,7 @@ from pipelines.lightfield.bundle import as_stored
 from pipelines.lightfield.depth import DepthMap, DepthSettings, estimate_depth
 from pipelines.lightfield.depth_fusion import refine_depth_maps
 from pipelines.lightfield.depth_neighbours import choose_neighbours, depth_range
+from pipelines.lightfield.devices import processor_count
 from pipelines.lightfield.proxy import plane_inverse_depth
 from pipelines.lightfield.scene import SceneDepth
 from pipelines.lightfield.views import shrink
@@ -89,7 +89,7 @@ def depth_from_photos(
             _store(folder, view, result)
         return result
 
-    workers = len(os.sched_getaffinity(0))
+    workers = processor_count()
     with ThreadPoolExecutor(workers) as pool:
         maps = list(progress(pool.map(one, range(len(photos))), "depth maps", len(photos)))
     refined = refine_depth_maps(maps, poses, neighbours, settings, workers, progress)

@@ -1,9 +1,10 @@
-"""Which processor renders: the choice between the CPU and a graphics card.
+"""Which processors render: the choice between the CPU and a graphics card, and how many there are.
 
 Nothing here loads a graphics library before one is asked for.
 """
 
 import logging
+import os
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
@@ -28,6 +29,14 @@ class Device(StrEnum):
     AUTO = "auto"
     CPU = "cpu"
     GPU = "gpu"
+
+
+def processor_count() -> int:
+    """How many processors this process may use."""
+    # macOS and Windows cannot restrict a process to some of them.
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def resolved_device(device: Device) -> Device:

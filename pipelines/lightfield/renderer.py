@@ -1,7 +1,6 @@
 """The front of the fast path: renders virtual views, compares many of them with a camera image."""
 
 import logging
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -26,7 +25,7 @@ from pipelines.lightfield.comparison import (
     prepared,
     prepared_pixels,
 )
-from pipelines.lightfield.devices import Device, chosen_gpu
+from pipelines.lightfield.devices import Device, chosen_gpu, processor_count
 from pipelines.lightfield.native_renderer import NativeRenderer
 from pipelines.lightfield.proxy import Quality
 from pipelines.lightfield.proxy import usual_inverse_depth as median_inverse_depth
@@ -125,7 +124,7 @@ class Renderer:
         self.plane = plane
         self.blending = blending
         self.quality = quality
-        self.threads = threads or len(os.sched_getaffinity(0))
+        self.threads = threads or processor_count()
         self._pool = ThreadPoolExecutor(self.threads)
         usable = np.ones(len(views), dtype=np.bool_)
         if quality is Quality.PLANE:
