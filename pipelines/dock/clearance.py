@@ -7,7 +7,7 @@ top of the robot; where it has a plane alone, the plane, if that is a wall.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from pipelines.artifacts.array_types import FloatArray
 from pipelines.geometry.camera import Undistorter
@@ -27,7 +27,7 @@ HIDDEN_BY = 0.1
 class _SurfacePoints:
     """Where the surface stands on the floor, ``(M, 2)`` metres, ready for search."""
 
-    tree: cKDTree
+    tree: scipy.spatial.cKDTree
 
 
 class Clearance:
@@ -43,7 +43,7 @@ class Clearance:
         self._scene = scene
         self._height = camera_height
         points = standing_points(scene, camera_height + TOP_ABOVE_CAMERA)
-        self._points = None if points is None else _SurfacePoints(cKDTree(points))
+        self._points = None if points is None else _SurfacePoints(scipy.spatial.cKDTree(points))
 
     @property
     def _is_wall(self) -> bool:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp
+import scipy
 
 from pipelines.artifacts.array_types import FloatArray
 from pipelines.dock.alignment import Candidate
@@ -97,7 +97,7 @@ class Rivals:
         for rival in found:
             if not any(_are_same(rival, other) for other in distinct):
                 distinct.append(rival)
-        total = float(logsumexp([rival.score for rival in distinct]))
+        total = float(scipy.special.logsumexp([rival.score for rival in distinct]))
         self._rivals = [_with_score(rival, rival.score - total) for rival in distinct[:MOST]]
         best = self._rivals[0]
         return Choice(best, math.exp(best.score))

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import binomtest
+import scipy
 
 from pipelines.experiments.sweep_result import RunResult
 from pipelines.experiments.sweep_run import Setup
@@ -67,7 +67,7 @@ class Line:
         """Wilson's 95 % interval of the success rate; 0 to 1 where there are no runs."""
         if not self.results:
             return 0.0, 1.0
-        test = binomtest(self.successes, len(self.results))
+        test = scipy.stats.binomtest(self.successes, len(self.results))
         interval = test.proportion_ci(CONFIDENCE, method="wilson")
         return float(interval.low), float(interval.high)
 

@@ -10,8 +10,8 @@ counter-clockwise about z, in (-pi, pi].
 import warnings
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from pipelines.artifacts.array_types import FloatArray
 
@@ -48,13 +48,13 @@ def pose_from_quaternion(translation: ArrayLike, quaternion_xyzw: ArrayLike) -> 
         ``(..., 4, 4)`` homogeneous matrices.
     """
     quaternion = np.asarray(quaternion_xyzw, dtype=np.float64)
-    rotation = Rotation.from_quat(quaternion.reshape(-1, 4)).as_matrix()
+    rotation = scipy.spatial.transform.Rotation.from_quat(quaternion.reshape(-1, 4)).as_matrix()
     return pose_from_rotation(rotation.reshape(*quaternion.shape[:-1], 3, 3), translation)
 
 
 def quaternion_of(pose: FloatArray) -> FloatArray:
     """Unit quaternions ``(..., 4)``, scalar last and not negative, of poses ``(..., 4, 4)``."""
-    rotation = Rotation.from_matrix(pose[..., :3, :3].reshape(-1, 3, 3))
+    rotation = scipy.spatial.transform.Rotation.from_matrix(pose[..., :3, :3].reshape(-1, 3, 3))
     quaternion = rotation.as_quat(canonical=True)
     return np.asarray(quaternion.reshape(*pose.shape[:-2], 4), dtype=np.float64)
 
@@ -68,7 +68,7 @@ def inverse(pose: FloatArray) -> FloatArray:
 
 def rotation_angle(pose: FloatArray) -> FloatArray:
     """Angle (radians, in [0, pi]) by which transforms ``(..., 4, 4)`` rotate; shape ``(...)``."""
-    rotation = Rotation.from_matrix(pose[..., :3, :3].reshape(-1, 3, 3))
+    rotation = scipy.spatial.transform.Rotation.from_matrix(pose[..., :3, :3].reshape(-1, 3, 3))
     return np.asarray(rotation.magnitude().reshape(pose.shape[:-2]), dtype=np.float64)
 
 
@@ -124,7 +124,9 @@ def base_from_camera_mount(position: ArrayLike, roll_pitch_yaw_deg: ArrayLike) -
     Returns:
         ``base_from_camera``, ``(4, 4)``.
     """
-    turn = Rotation.from_euler("xyz", np.asarray(roll_pitch_yaw_deg, np.float64), degrees=True)
+    turn = scipy.spatial.transform.Rotation.from_euler(
+        "xyz", np.asarray(roll_pitch_yaw_deg, np.float64), degrees=True
+    )
     return pose_from_rotation(turn.as_matrix() @ BASE_FROM_FORWARD_CAMERA, position)
 
 
@@ -133,7 +135,9 @@ def mount_of(base_from_camera: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     A camera that looks straight up or down has no unique roll and yaw; then yaw is 0.
     """
-    turn = Rotation.from_matrix(base_from_camera[:3, :3] @ BASE_FROM_FORWARD_CAMERA.T)
+    turn = scipy.spatial.transform.Rotation.from_matrix(
+        base_from_camera[:3, :3] @ BASE_FROM_FORWARD_CAMERA.T
+    )
     with warnings.catch_warnings():
         # That they are not unique; SciPy's own switch for it came with 1.17.
         warnings.simplefilter("ignore", UserWarning)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
+import scipy
 
 from pipelines.artifacts.array_types import BoolArray, FloatArray, ImageArray
 from pipelines.artifacts.errors import InputError
@@ -85,8 +85,8 @@ def lie_amid_others(centres: FloatArray) -> BoolArray:
         line = places[:, 0]
         return np.asarray((line > line.min() + margin) & (line < line.max() - margin))
     try:
-        facets = ConvexHull(places).equations
-    except QhullError:
+        facets = scipy.spatial.ConvexHull(places).equations
+    except scipy.spatial.QhullError:
         return np.zeros(len(centres), dtype=bool)
     outside = places @ facets[:, :-1].T + facets[:, -1]
     return np.asarray(outside.max(axis=1) < -margin)

@@ -10,7 +10,7 @@ fast one.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import Delaunay, QhullError
+import scipy
 
 from pipelines.artifacts.array_types import BoolArray, FloatArray, IntArray
 from pipelines.geometry.camera import Intrinsics
@@ -124,7 +124,7 @@ def pixel_weights(
     if not flat:
         try:
             views, weights = _weights_in_triangles(corners[kept], pixels)
-        except QhullError:
+        except scipy.spatial.QhullError:
             flat = True
     if flat:
         direction = line_direction(centres[kept], world_from_camera, intrinsics)
@@ -174,7 +174,7 @@ def _weights_on_line(corners: FloatArray, pixels: FloatArray) -> tuple[IntArray,
 
 def _weights_in_triangles(corners: FloatArray, pixels: FloatArray) -> tuple[IntArray, FloatArray]:
     """Two-dimensional net: barycentric weights inside, the border's blend outside."""
-    triangulation = Delaunay(corners)
+    triangulation = scipy.spatial.Delaunay(corners)
     simplex = triangulation.find_simplex(pixels)
     # Where outer corners lie on a line, rounding adds triangles without area.
     solid = ~_is_flat(corners[triangulation.simplices])

@@ -8,7 +8,7 @@ the one under which the pairs agree best in local zero-mean normalised cross-cor
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize
+import scipy
 
 from pipelines.artifacts.array_types import FloatArray
 from pipelines.artifacts.errors import StageError
@@ -245,7 +245,7 @@ def _refine(
     def disagreement(candidate: FloatArray) -> float:
         return -plane_correlation(photos, frame.plane(candidate))
 
-    result = minimize(
+    result = scipy.optimize.minimize(
         disagreement,
         start,
         method="Nelder-Mead",

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtri
+import scipy
 
 from pipelines.artifacts.array_types import BoolArray, FloatArray
 from pipelines.artifacts.errors import OptionError
@@ -68,7 +68,7 @@ def wilson_interval(hits: int, trials: int) -> tuple[float, float]:
     """Wilson's 95 % interval of a probability; 0 to 1 where there are no trials."""
     if trials == 0:
         return 0.0, 1.0
-    z = float(ndtri(0.5 * (1.0 + LEVEL)))
+    z = float(scipy.special.ndtri(0.5 * (1.0 + LEVEL)))
     share, weight = hits / trials, z**2 / trials
     centre = (share + 0.5 * weight) / (1.0 + weight)
     half = z * math.sqrt((share * (1.0 - share) + 0.25 * weight) / trials) / (1.0 + weight)

@@ -9,7 +9,7 @@ import functools
 import math
 
 import numpy as np
-from scipy.special import ndtri
+import scipy
 
 from pipelines.artifacts.array_types import FloatArray
 from pipelines.artifacts.errors import OptionError
@@ -56,4 +56,4 @@ def _normal_points(dimension: int) -> FloatArray:
     """``(POINTS, dimension)`` evenly spread by a standard normal distribution; not changed."""
     # The sequence's first number is 0, which no normal distribution has.
     columns = [radical_inverses(POINTS + 1, base)[1:] for base in BASES[:dimension]]
-    return np.asarray(ndtri(np.stack(columns, axis=1)))
+    return np.asarray(scipy.special.ndtri(np.stack(columns, axis=1)))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.special import gammaincinv
+import scipy
 
 from pipelines.artifacts.array_types import BoolArray, FloatArray
 from pipelines.localize.run import Run
@@ -21,7 +21,7 @@ REGION = 0.95
 
 def _chi_square_quantile(level: float, degrees_of_freedom: int) -> float:
     """Below this a chi-square distributed number lies with probability ``level``."""
-    return float(2.0 * gammaincinv(0.5 * degrees_of_freedom, level))
+    return float(2.0 * scipy.special.gammaincinv(0.5 * degrees_of_freedom, level))
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,7 @@ close to a ring, so that neither the size of the area nor the jump at +-pi matte
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
+import scipy
 
 from pipelines.artifacts.array_types import FloatArray, IntArray
 from pipelines.artifacts.errors import OptionError
@@ -132,15 +129,19 @@ def _connected_labels(
     In six dimensions a grid of cells is nearly empty, and a peak of density means little; the
     particles there are few and lie in clumps.
     """
-    places = cKDTree(states[:, : space.positions])
+    places = scipy.spatial.cKDTree(states[:, : space.positions])
     pairs = places.query_pairs(position_bandwidth, output_type="ndarray")
     if len(pairs) == 0:
         return np.arange(len(states), dtype=np.int64)
-    rotations = Rotation.from_rotvec(states[:, space.positions :])
+    rotations = scipy.spatial.transform.Rotation.from_rotvec(states[:, space.positions :])
     turn = (rotations[pairs[:, 0]].inv() * rotations[pairs[:, 1]]).magnitude()
     pairs = pairs[turn <= heading_bandwidth]
-    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (len(states),) * 2)
-    return np.asarray(connected_components(links, directed=False)[1], dtype=np.int64)
+    links = scipy.sparse.coo_array(
+        (np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (len(states),) * 2
+    )
+    return np.asarray(
+        scipy.sparse.csgraph.connected_components(links, directed=False)[1], dtype=np.int64
+    )
 
 
 def _peak_labels(

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray, IntArray
 from pipelines.artifacts.errors import InputError
@@ -145,7 +145,7 @@ def _triangulated(
         seen = np.flatnonzero(reconstruction.observations[:, 1] == image)
     if len(seen) == 0 or len(pixels) == 0:
         return Landmarks(np.empty(0, dtype=np.int64), np.empty((0, 3)))
-    distances, nearest = cKDTree(reconstruction.observed_pixels[seen]).query(pixels)
+    distances, nearest = scipy.spatial.cKDTree(reconstruction.observed_pixels[seen]).query(pixels)
     rows = np.flatnonzero(distances <= SAME_PIXELS)
     points = reconstruction.observations[seen[np.asarray(nearest)[rows]], 0]
     return Landmarks(rows, reconstruction.points[points])

@@ -16,9 +16,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.special import logsumexp
+import scipy
 
 from pipelines.artifacts.array_types import FloatArray, IntArray
 from pipelines.artifacts.errors import StageError
@@ -43,7 +41,9 @@ def places_of(space: StateSpace, hypotheses: FloatArray) -> IntArray:
         return np.zeros(0, dtype=np.int64)
     metres, radians = _distances(space, hypotheses, hypotheses)
     joined = (metres <= JOINED_POSITION) & (radians <= JOINED_ANGLE)
-    _, place = connected_components(coo_array(joined), directed=False)
+    _, place = scipy.sparse.csgraph.connected_components(
+        scipy.sparse.coo_array(joined), directed=False
+    )
     return place.astype(np.int64) + 1
 
 
@@ -146,7 +146,7 @@ def weighed(
     numbers = np.unique(labels[labels > 0]) if np.any(labels > 0) else np.zeros(1, np.int64)
     for place in numbers:
         own = labels == place
-        sum_ = float(logsumexp(exact[own])) - float(log_place_priors[place])
+        sum_ = float(scipy.special.logsumexp(exact[own])) - float(log_place_priors[place])
         if not math.isfinite(sum_):
             continue
         kept = float(compressed(sum_))
@@ -156,5 +156,5 @@ def weighed(
     if numbers[0] > 0:
         loss[labels == 0] = loss_of_best
     seen = np.isin(labels, numbers)
-    marginal = float(compressed(float(logsumexp(exact[seen]))))
+    marginal = float(compressed(float(scipy.special.logsumexp(exact[seen]))))
     return Weighed(exact - loss, marginal, largest)

@@ -3,7 +3,7 @@
 import math
 
 import numpy as np
-from scipy.special import ndtri
+import scipy
 
 from pipelines.artifacts.array_types import FloatArray
 from pipelines.localize.belief import Belief
@@ -27,7 +27,7 @@ def kld_count(occupied_cells: int) -> int:
         return 1
     degrees = occupied_cells - 1.0
     spread = 2.0 / (9.0 * degrees)
-    quantile = float(ndtri(KLD_QUANTILE))
+    quantile = float(scipy.special.ndtri(KLD_QUANTILE))
     bracket = 1.0 - spread + math.sqrt(spread) * quantile
     return math.ceil(degrees / (2.0 * KLD_ERROR) * bracket**3)
 

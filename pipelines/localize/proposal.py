@@ -13,7 +13,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp
+import scipy
 
 from pipelines.artifacts.array_types import FloatArray
 from pipelines.localize.state_space import StateSpace
@@ -61,4 +61,4 @@ class Proposal:
                 - float(np.log(np.diag(factor)).sum())
                 - constant
             )
-        return np.asarray(logsumexp(terms, axis=0), dtype=np.float64)
+        return np.asarray(scipy.special.logsumexp(terms, axis=0), dtype=np.float64)

@@ -11,10 +11,10 @@ SO(3); Sola, Deray, Atchuthan 2018, "A micro Lie theory for state estimation in 
 """
 
 import math
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from pipelines.artifacts.array_types import FloatArray, IntArray
 from pipelines.artifacts.errors import OptionError
@@ -25,6 +25,9 @@ from pipelines.geometry.pose import (
     world_from_base_planar,
     wrap_angle,
 )
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 # A mean direction is meaningless where the directions cancel to less than this share.
 CANCELLED = 1e-9
@@ -176,12 +179,16 @@ class Spatial:
 
     def poses(self, states: FloatArray) -> FloatArray:
         """See ``StateSpace.poses``."""
-        rotation = Rotation.from_rotvec(states[..., 3:].reshape(-1, 3)).as_matrix()
+        rotation = scipy.spatial.transform.Rotation.from_rotvec(
+            states[..., 3:].reshape(-1, 3)
+        ).as_matrix()
         return pose_from_rotation(rotation.reshape(*states.shape[:-1], 3, 3), states[..., :3])
 
     def states(self, poses: FloatArray) -> FloatArray:
         """See ``StateSpace.states``."""
-        rotation = Rotation.from_matrix(poses[..., :3, :3].reshape(-1, 3, 3)).as_rotvec()
+        rotation = scipy.spatial.transform.Rotation.from_matrix(
+            poses[..., :3, :3].reshape(-1, 3, 3)
+        ).as_rotvec()
         vectors = rotation.reshape(*poses.shape[:-2], 3)
         return np.concatenate([poses[..., :3, 3], vectors], axis=-1)
 
@@ -212,7 +219,11 @@ class Spatial:
     def mean(self, states: FloatArray, weights: FloatArray) -> FloatArray:
         """See ``StateSpace.mean``."""
         position = weights @ states[:, :3] / float(np.sum(weights))
-        rotation = Rotation.from_rotvec(states[:, 3:]).mean(weights=weights).as_rotvec()
+        rotation = (
+            scipy.spatial.transform.Rotation.from_rotvec(states[:, 3:])
+            .mean(weights=weights)
+            .as_rotvec()
+        )
         return np.concatenate([position, rotation])
 
     def spread(self, states: FloatArray) -> FloatArray:
@@ -230,7 +241,9 @@ class Spatial:
             # Earlier versions of SciPy know no empty list of rotations.
             return np.empty((0, self.dimension))
         # Four normal numbers point in all directions alike, so that no rotation is preferred.
-        rotation = Rotation.from_quat(rng.standard_normal((count, 4))).as_rotvec()
+        rotation = scipy.spatial.transform.Rotation.from_quat(
+            rng.standard_normal((count, 4))
+        ).as_rotvec()
         return np.concatenate([rng.uniform(low, high, (count, 3)), rotation], axis=1)
 
     def pair_angles(self, states: FloatArray, others: FloatArray) -> FloatArray:
@@ -286,12 +299,12 @@ def cells_of(
     return np.asarray(np.floor(canonical / sizes), dtype=np.int64)
 
 
-def _rotations(states: FloatArray) -> Rotation:
+def _rotations(states: FloatArray) -> "Rotation":
     """The rotations of states ``(..., 6)``, in one row."""
     # A copy: SciPy warns of the views that broadcasting makes.
-    return Rotation.from_rotvec(np.array(states[..., 3:]).reshape(-1, 3))
+    return scipy.spatial.transform.Rotation.from_rotvec(np.array(states[..., 3:]).reshape(-1, 3))
 
 
-def _joined(positions: FloatArray, rotations: Rotation) -> FloatArray:
+def _joined(positions: FloatArray, rotations: "Rotation") -> FloatArray:
     vectors = rotations.as_rotvec().reshape(*positions.shape[:-1], 3)
     return np.concatenate([positions, vectors], axis=-1)

@@ -16,7 +16,7 @@ nearest one. After several such images running the track is given up: it is odom
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import gammaincinv
+import scipy
 
 from pipelines.artifacts.array_types import FloatArray
 from pipelines.localize.refinement import Prior, Refined
@@ -99,4 +99,4 @@ class Track:
 
 def _gate(dimension: int) -> float:
     """Quantile of the chi-square distribution."""
-    return float(2.0 * gammaincinv(0.5 * dimension, GATE))
+    return float(2.0 * scipy.special.gammaincinv(0.5 * dimension, GATE))

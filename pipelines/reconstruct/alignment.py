@@ -8,8 +8,7 @@ up direction open where a robot drives along a line, and orientations alone say 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
+import scipy
 
 from pipelines.artifacts.array_types import FloatArray
 from pipelines.artifacts.errors import StageError
@@ -153,7 +152,7 @@ def _errors(
     """Errors of position (metres) and rotation (radians, rotation vectors), each ``(N, 3)``."""
     aligned = similarity.transform_poses(model_from_camera)
     turns = np.swapaxes(world_from_camera[:, :3, :3], 1, 2) @ aligned[:, :3, :3]
-    rotation_errors = Rotation.from_matrix(turns).as_rotvec()
+    rotation_errors = scipy.spatial.transform.Rotation.from_matrix(turns).as_rotvec()
     return aligned[:, :3, 3] - world_from_camera[:, :3, 3], np.asarray(rotation_errors)
 
 
@@ -165,7 +164,7 @@ def _start(model_from_camera: FloatArray, world_from_camera: FloatArray) -> Simi
     the median ratio of distances, the translation the median shift.
     """
     turns = world_from_camera[:, :3, :3] @ np.swapaxes(model_from_camera[:, :3, :3], 1, 2)
-    rotations = Rotation.from_matrix(turns)
+    rotations = scipy.spatial.transform.Rotation.from_matrix(turns)
     mean = rotations.mean()
     for _ in range(REWEIGHTINGS):
         angles = (mean.inv() * rotations).magnitude()
@@ -200,7 +199,10 @@ def _refined(
     pivot = start.transform_points(model_from_camera[:, :3, 3]).mean(axis=0)
 
     def moved(step: FloatArray) -> Similarity:
-        turn, factor = Rotation.from_rotvec(step[1:4]).as_matrix(), float(np.exp(step[0]))
+        turn, factor = (
+            scipy.spatial.transform.Rotation.from_rotvec(step[1:4]).as_matrix(),
+            float(np.exp(step[0])),
+        )
         translation = factor * turn @ (start.translation - pivot) + pivot + step[4:7]
         return Similarity(factor * start.scale, turn @ start.rotation, translation)
 
@@ -209,5 +211,5 @@ def _refined(
         weighted = [positions.ravel() / sigmas[0], rotations.ravel() / sigmas[1]]
         return np.concatenate(weighted)
 
-    solution = least_squares(residuals, np.zeros(7), loss="soft_l1", f_scale=2.0)
+    solution = scipy.optimize.least_squares(residuals, np.zeros(7), loss="soft_l1", f_scale=2.0)
     return moved(np.asarray(solution.x, dtype=np.float64))

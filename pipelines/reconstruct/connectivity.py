@@ -5,8 +5,7 @@ in itself, every measure of fit is good, and the pieces lie anywhere relative to
 """
 
 import numpy as np
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 from pipelines.artifacts.array_types import IntArray
 from pipelines.reconstruct.colmap_model import NO_POINT, ColmapModel, ModelImage, ModelPoints
@@ -30,11 +29,13 @@ def firm_pieces(model: ColmapModel) -> list[list[int]]:
     tracks = model.points.tracks
     rows = [row_of_image[number] for number in tracks[:, 1].tolist()]
     shape = (count, len(model.points.positions))
-    sees = csr_matrix((np.ones(len(tracks)), (rows, tracks[:, 0])), shape=shape)
+    sees = scipy.sparse.csr_matrix((np.ones(len(tracks)), (rows, tracks[:, 0])), shape=shape)
     # An image may see a point twice; it counts once.
     sees.data[:] = 1.0
     shared = (sees @ sees.T).toarray()  # [N, N]
-    _, labels = connected_components((shared >= FIRM_SHARED_POINTS).astype(np.int8), directed=False)
+    _, labels = scipy.sparse.csgraph.connected_components(
+        (shared >= FIRM_SHARED_POINTS).astype(np.int8), directed=False
+    )
     groups = [np.flatnonzero(labels == label).tolist() for label in np.unique(labels)]
     return sorted(groups, key=lambda group: (-len(group), group))
 

@@ -10,8 +10,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.sparse import coo_matrix
+import scipy
 
 from pipelines.artifacts.array_types import FloatArray, IntArray
 from pipelines.artifacts.errors import StageError
@@ -95,7 +94,7 @@ class _Problem:
         left = (_increments(states) - self.increments) / self.sigmas
         return np.concatenate([errors.ravel(), left.ravel()])
 
-    def sparsity(self, unknowns: int) -> coo_matrix:
+    def sparsity(self, unknowns: int) -> scipy.sparse.coo_matrix:
         """Which residual depends on which unknown."""
         seen, steps = np.arange(len(self.image)), np.arange(self.images - 1)
         first = 3 * self.images
@@ -107,7 +106,9 @@ class _Problem:
         ]
         rows, columns = np.concatenate(blocks, axis=1)
         shape = (2 * len(seen) + 3 * len(steps), unknowns)
-        return coo_matrix((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=shape)
+        return scipy.sparse.coo_matrix(
+            (np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=shape
+        )
 
 
 def adjust_in_plane(
@@ -136,7 +137,7 @@ def adjust_in_plane(
     increments = _increments(odometry_states)
     problem = _Problem(rays, focal, image, point, mount, increments, _sigmas(increments))
     start = np.concatenate([before.ravel(), reconstruction.points.ravel()])
-    found = least_squares(
+    found = scipy.optimize.least_squares(
         problem.residuals,
         start,
         jac_sparsity=problem.sparsity(len(start)),

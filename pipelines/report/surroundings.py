@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
+import scipy
 
 from pipelines.artifacts.array_types import FloatArray
 from pipelines.geometry.camera import Camera
@@ -124,8 +124,8 @@ def surface_from_above(
         ends = foot + np.outer([along.min(), along.max()], direction)
         return Surface(ends, -horizontal / length)
     try:
-        corners = hits[ConvexHull(hits[:, :2]).vertices, :2]
-    except (QhullError, ValueError):
+        corners = hits[scipy.spatial.ConvexHull(hits[:, :2]).vertices, :2]
+    except (scipy.spatial.QhullError, ValueError):
         return None
     return Surface(corners, np.zeros(2))
 
