@@ -16,6 +16,7 @@ from pipelines.lightfield.blending import Blending
 from pipelines.lightfield.devices import Device, chosen_gpu, resolved_device
 from pipelines.lightfield.proxy import Quality
 from pipelines.lightfield.renderer import Renderer
+from pipelines.lightfield.renderer_choice import renderer_of_scene
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.run import load_run
 from tests.chain_samples import ELEVATORS, first_frames, lfnav, map_elevators, succeed
@@ -211,7 +212,7 @@ def test_photos_too_large_for_the_card(
     scene = load_scene(scene_path)
 
     def renderer(scene: Scene, device: Device) -> Renderer:
-        return Renderer.of_scene(
+        return renderer_of_scene(
             scene, 64, Blending.UNSTRUCTURED, Quality.PLANE, threads=1, device=device
         )
 

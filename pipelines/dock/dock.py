@@ -31,7 +31,7 @@ from pipelines.dock.settings import DockSettings
 from pipelines.dock.smoothing import Smoother
 from pipelines.geometry.camera import Undistorter
 from pipelines.lightfield.proxy import Quality, quality_named
-from pipelines.lightfield.renderer import Renderer
+from pipelines.lightfield.renderer_choice import renderer_of_scene
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.localizer import Localizer
 from pipelines.localize.measurement_model import VIEW_RESOLUTION_FACTOR, MeasurementModel
@@ -129,7 +129,7 @@ def equipment_of(
     safety = Safety((x_min, x_max, y_min, y_max), clearance, settings.distance_kept)
     safety.check_goal(goal)
     chosen = replace(filter_settings, start=settings.start, area=settings.area)
-    renderer = Renderer.of_scene(
+    renderer = renderer_of_scene(
         scene,
         VIEW_RESOLUTION_FACTOR * chosen.fine_width,
         chosen.blending,

@@ -1,6 +1,5 @@
 """The front of the fast path: renders virtual views, compares many of them with a camera image."""
 
-import logging
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ from pipelines.artifacts.array_types import (
     ImageArray,
     Int32Array,
 )
-from pipelines.artifacts.errors import OptionError, StageError
+from pipelines.artifacts.errors import OptionError
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
 from pipelines.lightfield.blending import Blending
@@ -25,15 +24,13 @@ from pipelines.lightfield.comparison import (
     prepared,
     prepared_pixels,
 )
-from pipelines.lightfield.devices import Device, chosen_gpu, processor_count
+from pipelines.lightfield.devices import processor_count
 from pipelines.lightfield.native_renderer import NativeRenderer
 from pipelines.lightfield.proxy import Quality
 from pipelines.lightfield.proxy import usual_inverse_depth as median_inverse_depth
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.view_index import build_index
 from pipelines.lightfield.views import Views, views_of_scene, without_depth, without_view
-
-logger = logging.getLogger(__name__)
 
 # So many poses are compared in one call: enough to make its cost small, few enough to share work
 # evenly between threads. Rendered images are kept; there it is so many pixels.
@@ -150,29 +147,24 @@ class Renderer:
         blending: Blending = Blending.UNSTRUCTURED,
         quality: Quality = Quality.PLANE,
         threads: int | None = None,
-        device: Device = Device.CPU,
         views: Views | None = None,
     ) -> "Renderer":
-        """A renderer of a scene's photos, area-averaged to ``largest_side`` pixels at most.
+        """A renderer of a scene's photos, on the CPU; on a device of choice: ``renderer_choice``.
 
-        ``views`` are rendered in the place of the scene's own photos where they are given: the same
-        photos in other channels.
+        Args:
+            scene: the light field.
+            largest_side: photos are area-averaged to so many pixels at most.
+            blending: the rule that chooses and weights the views.
+            quality: how finely the surface follows the views' depth maps.
+            threads: None: one a processor.
+            views: rendered in the place of the scene's own photos where they are given: the same
+                photos in other channels.
 
         Raises:
-            OptionError: as for the class; a device that is not there or cannot do it.
+            OptionError: as for the class.
         """
-        gpu = chosen_gpu(device)
         if views is None:
             views = views_of_scene(scene, largest_side)
-        if gpu is not None:
-            from pipelines.lightfield.gpu_renderer import GpuRenderer
-
-            try:
-                return GpuRenderer(views, scene.plane, blending, quality, threads, gpu=gpu)
-            except StageError as error:
-                if device is not Device.AUTO:
-                    raise
-                logger.warning("rendering on the CPU, since %s", error)
         return cls(views, scene.plane, blending, quality, threads)
 
     def without_view(self, index: int) -> "Renderer":

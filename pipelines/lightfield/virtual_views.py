@@ -20,7 +20,8 @@ from pipelines.lightfield.blending import Blending
 from pipelines.lightfield.bundle import load_scene
 from pipelines.lightfield.devices import Device
 from pipelines.lightfield.proxy import Quality, quality_named
-from pipelines.lightfield.renderer import Renderer, Rendering
+from pipelines.lightfield.renderer import Rendering
+from pipelines.lightfield.renderer_choice import renderer_of_scene
 from pipelines.lightfield.scene import Scene
 
 LISTING = "views.txt"
@@ -121,7 +122,7 @@ def render(
         raise OptionError(f"{output}: {len(poses)} views do not fit in one PNG; name a folder")
     intrinsics = virtual_intrinsics(scene, settings.width)
     quality = quality_named(settings.quality, bool(scene.depth), Quality.FINE)
-    renderer = Renderer.of_scene(
+    renderer = renderer_of_scene(
         scene, blending=settings.blending, quality=quality, device=settings.device
     )
     renderings = (

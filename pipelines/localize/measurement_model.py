@@ -16,6 +16,7 @@ from pipelines.lightfield.comparison import Cost, PixelEvidence
 from pipelines.lightfield.pixel_evidence import learn_evidence
 from pipelines.lightfield.proxy import Quality, quality_named
 from pipelines.lightfield.renderer import Renderer
+from pipelines.lightfield.renderer_choice import renderer_of_scene
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.views import Views, views_of_scene
 from pipelines.localize.belief import Belief
@@ -82,7 +83,7 @@ class MeasurementModel:
         if likelihood.cost is Cost.EVIDENCE:
             wanted = {likelihood.channels}
         renderers = {
-            channels: Renderer.of_scene(
+            channels: renderer_of_scene(
                 scene,
                 side,
                 settings.blending,
