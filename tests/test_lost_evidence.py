@@ -1,4 +1,4 @@
-"""An alignment that ends where the image has less evidence is left out of the track."""
+"""Evidence decides what of an alignment is taken over, and where it begins."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -43,3 +43,34 @@ def test_an_alignment_that_loses_evidence_moves_nothing() -> None:
         record = robot.step(photo(state), motion, float(number))
     assert record.status == "tracking"
     assert position_error(record, state, "refined") < 0.01
+
+
+class Shortsighted(MeasurementModel):
+    """Alignments that begin too far from the truth end where they began, as in another minimum."""
+
+    truth = np.zeros(3)
+
+    def aligned(
+        self,
+        state: FloatArray,
+        observations: Observations,
+        widths: Sequence[int],
+        prior: Prior | None = None,
+    ) -> Refined:
+        found = super().aligned(state, observations, widths, prior)
+        is_near = float(np.hypot(*(state - self.truth)[:2])) < 0.15
+        return found if is_near else replace(found, state=np.array(state))
+
+
+def test_wheels_that_mislead_do_not_choose_where_an_alignment_begins() -> None:
+    chosen = informed_settings(motion=MotionModel(position_floor=0.1, heading_floor=0.06))
+    for seed in range(4):
+        model = Shortsighted.of_scene(SCENE, MOUNT, chosen)
+        assert isinstance(model, Shortsighted)
+        robot = Localizer(SCENE, CAMERA, MOUNT, chosen, np.random.default_rng(seed), model)
+        for number, (state, motion) in enumerate(zip(TRUTH[:6], increments(TRUTH), strict=False)):
+            model.truth = state
+            wrong = np.array([0.15, 0.1, 0.08]) if number == 5 else np.zeros(3)
+            record = robot.step(photo(state), motion + wrong, float(number))
+        assert record.status == "tracking"
+        assert position_error(record, state, "refined") < 0.02

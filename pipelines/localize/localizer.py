@@ -242,8 +242,8 @@ class Localizer:
             track.rejected < MOST_REJECTED and self._is_same_place(track.state, main.state)
         ):
             track = None
-        start = main.state if track is None else track.state
         widths = self._alignment_widths
+        start, before = self._explained_start(main.state, track, observations.by_width[widths[-1]])
         aligned = self._model.aligned(start, observations, widths)
         is_usable = math.isfinite(aligned.error) and bool(np.all(np.isfinite(aligned.covariance)))
         # Where light or contents have changed, errors are larger than an image's own tiles tell.
@@ -263,8 +263,7 @@ class Localizer:
             return Track(aligned.state, doubt * aligned.covariance, 0, aligned.state, blur)
         # What is minimised is not what says where the body is: an alignment that loses evidence
         # has given up what fits for a compromise with what does not.
-        before = self._evidence(start, images[-1])
-        least = before - max(EVEN, EVEN_SHARE * abs(before))
+        least = before - _even(before)
         # An image that is explained less counts less, but is left out as soon as any other.
         if is_usable and evidence[-1] >= least and track.accepts(self.space, aligned, usual):
             return replace(track.updated(self.space, aligned, doubt), blur=blur)
@@ -272,6 +271,22 @@ class Localizer:
         if self._evidence(held.state, images[-1]) < least:
             return track.without_image()
         return replace(track.held(self.space, held), blur=blur)
+
+    def _explained_start(
+        self, mode: FloatArray, track: Track | None, observation: Observation
+    ) -> tuple[FloatArray, float]:
+        """Where an alignment begins, ``(D,)``, and the image's evidence for it.
+
+        That is where the track is predicted, unless the particles' mode explains the image clearly
+        better: wheels that mislead while the camera sees nothing take the track so far that an
+        alignment from there would end in another minimum.
+        """
+        if track is None:
+            return mode, self._evidence(mode, observation)
+        predicted, found = (self._evidence(state, observation) for state in (track.state, mode))
+        if found > predicted + _even(predicted):
+            return mode, found
+        return track.state, predicted
 
     def _is_same_place(self, state: FloatArray, other: FloatArray) -> bool:
         """Whether two states are not farther apart than a followed mode is wide."""
@@ -330,6 +345,11 @@ def _strategy(
     if settings.strategy == "coarse_to_fine":
         return CoarseToFine(model, region, settings, rng)
     return Informed(model, region, world_from_camera, settings, rng)
+
+
+def _even(evidence: float) -> float:
+    """Differences of evidence that say nothing."""
+    return max(EVEN, EVEN_SHARE * abs(evidence))
 
 
 def _is_narrow(main: Mode) -> bool:
