@@ -277,14 +277,14 @@ class Localizer:
     ) -> tuple[FloatArray, float]:
         """Where an alignment begins, ``(D,)``, and the image's evidence for it.
 
-        That is where the track is predicted, unless the particles' mode explains the image clearly
-        better: wheels that mislead while the camera sees nothing take the track so far that an
-        alignment from there would end in another minimum.
+        That is where the track is predicted, unless the image speaks against that and for the
+        particles' mode: wheels that mislead while the camera sees nothing take the track so far
+        that an alignment from there would end in another minimum.
         """
         if track is None:
             return mode, self._evidence(mode, observation)
         predicted, found = (self._evidence(state, observation) for state in (track.state, mode))
-        if found > predicted + _even(predicted):
+        if found > _even(predicted) and predicted < 0.0:
             return mode, found
         return track.state, predicted
 
