@@ -243,7 +243,10 @@ class Localizer:
         ):
             track = None
         widths = self._alignment_widths
-        start, before = self._explained_start(main.state, track, observations.by_width[widths[-1]])
+        start, before = main.state, -math.inf
+        if track is not None:
+            finest = observations.by_width[widths[-1]]
+            start, before = self._explained_start(main.state, track, finest)
         aligned = self._model.aligned(start, observations, widths)
         is_usable = math.isfinite(aligned.error) and bool(np.all(np.isfinite(aligned.covariance)))
         # Where light or contents have changed, errors are larger than an image's own tiles tell.
@@ -273,7 +276,7 @@ class Localizer:
         return replace(track.held(self.space, held), blur=blur)
 
     def _explained_start(
-        self, mode: FloatArray, track: Track | None, observation: Observation
+        self, mode: FloatArray, track: Track, observation: Observation
     ) -> tuple[FloatArray, float]:
         """Where an alignment begins, ``(D,)``, and the image's evidence for it.
 
@@ -281,11 +284,11 @@ class Localizer:
         particles' mode: wheels that mislead while the camera sees nothing take the track so far
         that an alignment from there would end in another minimum.
         """
-        if track is None:
-            return mode, self._evidence(mode, observation)
-        predicted, found = (self._evidence(state, observation) for state in (track.state, mode))
-        if found > _even(predicted) and predicted < 0.0:
-            return mode, found
+        predicted = self._evidence(track.state, observation)
+        if predicted < 0.0:
+            found = self._evidence(mode, observation)
+            if found > _even(predicted):
+                return mode, found
         return track.state, predicted
 
     def _is_same_place(self, state: FloatArray, other: FloatArray) -> bool:
