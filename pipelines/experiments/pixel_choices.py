@@ -14,12 +14,7 @@ import numpy as np
 from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray
 from pipelines.artifacts.errors import InputError
 from pipelines.dataset.dataset import CAMERA_FILE, GROUNDTRUTH_FILE, Dataset
-from pipelines.lightfield.comparison import (
-    LARGEST_GAIN,
-    ROBUST_LIMIT,
-    UNCOVERED_ROBUST,
-    prepared,
-)
+from pipelines.lightfield.comparison import NO_TABLE, compare, prepared
 from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.likelihood import LIKELIHOODS
@@ -160,17 +155,11 @@ def costs_by_some(
     Returns:
         ``(M,)``.
     """
-    chosen = (weights > 0.0) & (query[..., 3] > 0.0)
-    wanted, compared = query[chosen, :3], weights[chosen]
-    views = images[:, chosen]  # [M, P, 3]
-    used = covered[:, chosen] * compared
-    # The brightness is fitted to the colours that are nearly equal already.
-    near = np.where(np.abs(views - wanted) < ROBUST_LIMIT, views, np.float32(0.0))
-    squares = np.einsum("mp,mpc,mpc->m", used, near, views)
-    products = np.einsum("mp,mpc,pc->m", used, near, wanted)
-    gains = np.divide(products, squares, out=np.ones(len(views)), where=squares > 0.0)
-    gains = np.clip(gains, 1.0 / LARGEST_GAIN, LARGEST_GAIN).astype(np.float32)
-    differences = np.abs(gains[:, None, None] * views - wanted)
-    each = np.minimum(differences, ROBUST_LIMIT).mean(axis=2) / ROBUST_LIMIT
-    total = np.sum(used * each + (compared - used) * UNCOVERED_ROBUST, axis=1)
-    return np.asarray(total / max(1.0, float(compared.sum())))
+    likelihood = LIKELIHOODS["robust"]
+    weighted = query.copy()
+    weighted[..., 3] *= weights
+    views = np.concatenate([images, covered[..., None].astype(np.float32)], axis=3)
+    costs = [
+        compare(likelihood.cost, view, weighted, likelihood.fit_gain, NO_TABLE) for view in views
+    ]
+    return np.array(costs)
