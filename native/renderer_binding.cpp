@@ -181,15 +181,16 @@ class PythonLightField {
     ArrayArgument<double> mesh_;
 };
 
-/// Which views are rendered, checked.
-class ViewsArgument {
+/// Views of a light field: keeps its arrays, checked once. Python keeps the light field as long.
+class PythonVirtualViews {
   public:
-    ViewsArgument(std::size_t photos, nb::handle poses, nb::handle intrinsics, nb::handle across,
-                  nb::handle down, nb::handle outlook_across, nb::handle outlook_down,
-                  nb::handle frustum_across, nb::handle frustum_down, nb::handle pixels,
-                  nb::handle width, nb::handle height, nb::handle samples, nb::handle sources,
-                  nb::handle spacing)
-        : poses_(poses, "poses", {ANY<double>, 4, 4}),
+    PythonVirtualViews(const PythonLightField& field, nb::handle poses, nb::handle intrinsics,
+                       nb::handle across, nb::handle down, nb::handle outlook_across,
+                       nb::handle outlook_down, nb::handle frustum_across, nb::handle frustum_down,
+                       nb::handle pixels, nb::handle width, nb::handle height, nb::handle samples,
+                       nb::handle sources, nb::handle spacing)
+        : field_(field),
+          poses_(poses, "poses", {ANY<double>, 4, 4}),
           intrinsics_(intrinsics, "intrinsics", {ANY<double>}),
           across_(across, "across", {ANY<std::int64_t>}),
           down_(down, "down", {ANY<std::int64_t>}),
@@ -201,7 +202,9 @@ class ViewsArgument {
           width_(integer_between(1, 1 << 15, width, "width")),
           height_(integer_between(1, 1 << 15, height, "height")),
           sources_(sources, "sources", {signed_size(count()), ANY<std::int32_t>}),
-          spacing_(number_from(1.0, spacing, "spacing")) {
+          spacing_(number_from(1.0, spacing, "spacing")),
+          samples_owner_(nb::borrow(samples)) {
+        const std::size_t photos = field.light_field().photos.count;
         if (!samples.is_none() && !nb::try_cast(samples, samples_)) {
             throw nb::type_error("samples: DepthSamples or None expected");
         }
@@ -226,6 +229,7 @@ class ViewsArgument {
 
     std::size_t count() const { return poses_.shape(0); }
     std::size_t pixels() const { return pixels_.shape(0); }
+    LightField light_field() const { return field_.light_field(); }
 
     VirtualViews views() const {
         return {poses_.data(),
@@ -243,6 +247,7 @@ class ViewsArgument {
     }
 
   private:
+    const PythonLightField& field_;
     ArrayArgument<double> poses_, intrinsics_;
     ArrayArgument<std::int64_t> across_, down_, outlook_across_, outlook_down_, frustum_across_,
         frustum_down_;
@@ -250,6 +255,7 @@ class ViewsArgument {
     std::size_t width_, height_;
     ArrayArgument<std::int32_t> sources_;
     double spacing_;
+    nb::object samples_owner_;
     const DepthSamples* samples_ = nullptr;
 };
 
@@ -284,21 +290,14 @@ nb::object python_sources(const PythonLightField& self, nb::handle poses,
     return nb::cast(sources.array);
 }
 
-nb::tuple python_render(const PythonLightField& self, nb::handle poses, nb::handle intrinsics,
-                        nb::handle across, nb::handle down, nb::handle outlook_across,
-                        nb::handle outlook_down, nb::handle frustum_across, nb::handle frustum_down,
-                        nb::handle pixels, nb::handle width, nb::handle height, nb::handle samples,
-                        nb::handle sources, nb::handle spacing) {
+nb::tuple python_render(const PythonVirtualViews& self) {
     const LightField field = self.light_field();
-    const ViewsArgument views(field.photos.count, poses, intrinsics, across, down, outlook_across,
-                              outlook_down, frustum_across, frustum_down, pixels, width, height,
-                              samples, sources, spacing);
-    NewArray<float> images({views.count(), views.pixels(), 4});
-    NewArray<float> inverse_depths({views.count(), views.pixels()});
+    const VirtualViews views = self.views();
+    NewArray<float> images({self.count(), self.pixels(), 4});
+    NewArray<float> inverse_depths({self.count(), self.pixels()});
     {
         const nb::gil_scoped_release unlocked;
-        LFNAV_BEST(render)(field, views.views(), images.values.data(),
-                           inverse_depths.values.data());
+        LFNAV_BEST(render)(field, views, images.values.data(), inverse_depths.values.data());
     }
     return nb::make_tuple(images.array, inverse_depths.array);
 }
@@ -350,28 +349,22 @@ class ComparisonArgument {
     float evidence_bin_;
 };
 
-nb::object python_costs(const PythonLightField& self, nb::handle poses, nb::handle intrinsics,
-                        nb::handle across, nb::handle down, nb::handle outlook_across,
-                        nb::handle outlook_down, nb::handle frustum_across, nb::handle frustum_down,
-                        nb::handle pixels, nb::handle width, nb::handle height, nb::handle samples,
-                        nb::handle sources, nb::handle spacing, nb::handle query, nb::handle cost,
+nb::object python_costs(const PythonVirtualViews& self, nb::handle query, nb::handle cost,
                         bool fit_gain, nb::handle limits, nb::handle uncovered, nb::handle table,
                         nb::handle evidence_bin) {
-    const LightField field = self.light_field();
-    const ViewsArgument views(field.photos.count, poses, intrinsics, across, down, outlook_across,
-                              outlook_down, frustum_across, frustum_down, pixels, width, height,
-                              samples, sources, spacing);
     const ComparisonArgument comparison(query, cost, fit_gain, limits, uncovered, table,
                                         evidence_bin);
     const MaskedImage image = comparison.query();
-    if (image.width * image.height != views.pixels()) {
+    if (image.width * image.height != self.pixels()) {
         refuse_value("query", "as many pixels as are rendered expected, got " +
                                   std::to_string(image.width * image.height));
     }
-    NewArray<double> result({views.count()});
+    const LightField field = self.light_field();
+    const VirtualViews views = self.views();
+    NewArray<double> result({self.count()});
     {
         const nb::gil_scoped_release unlocked;
-        LFNAV_BEST(compare_views)(field, views.views(), comparison, result.values.data());
+        LFNAV_BEST(compare_views)(field, views, comparison, result.values.data());
     }
     return nb::cast(result.array);
 }
@@ -418,16 +411,25 @@ void bind_renderer(nb::module_& module) {
         .def("depth_samples", &python_depth_samples, argument("is_source"), argument("steps"))
         .def("sources", &python_sources, argument("poses"), argument("usual_inverse_depth"),
              argument("turn_cost"), argument("most"))
-        .def("render", &python_render, argument("poses"), argument("intrinsics"),
-             argument("across"), argument("down"), argument("outlook_across"),
-             argument("outlook_down"), argument("frustum_across"), argument("frustum_down"),
-             argument("pixels"), argument("width"), argument("height"), argument("samples"),
-             argument("sources"), argument("spacing"))
-        .def("costs", &python_costs, argument("poses"), argument("intrinsics"), argument("across"),
-             argument("down"), argument("outlook_across"), argument("outlook_down"),
-             argument("frustum_across"), argument("frustum_down"), argument("pixels"),
-             argument("width"), argument("height"), argument("samples"), argument("sources"),
-             argument("spacing"), argument("query"), argument("cost"), nb::arg("fit_gain"),
+        .def(
+            "views",
+            [](const PythonLightField& self, nb::handle poses, nb::handle intrinsics,
+               nb::handle across, nb::handle down, nb::handle outlook_across,
+               nb::handle outlook_down, nb::handle frustum_across, nb::handle frustum_down,
+               nb::handle pixels, nb::handle width, nb::handle height, nb::handle samples,
+               nb::handle sources, nb::handle spacing) {
+                return PythonVirtualViews(self, poses, intrinsics, across, down, outlook_across,
+                                          outlook_down, frustum_across, frustum_down, pixels, width,
+                                          height, samples, sources, spacing);
+            },
+            nb::keep_alive<0, 1>(), argument("poses"), argument("intrinsics"), argument("across"),
+            argument("down"), argument("outlook_across"), argument("outlook_down"),
+            argument("frustum_across"), argument("frustum_down"), argument("pixels"),
+            argument("width"), argument("height"), argument("samples"), argument("sources"),
+            argument("spacing"));
+    nb::class_<PythonVirtualViews>(module, "VirtualViews")
+        .def("render", &python_render)
+        .def("costs", &python_costs, argument("query"), argument("cost"), nb::arg("fit_gain"),
              argument("limits"), argument("uncovered"), argument("table"),
              argument("evidence_bin"));
 }

@@ -369,7 +369,7 @@ class LightField:
             (B, most) photos, -1 behind the last.
         """
 
-    def render(
+    def views(
         self,
         poses: FloatArray,
         intrinsics: FloatArray,
@@ -385,8 +385,8 @@ class LightField:
         samples: DepthSamples | None,
         sources: Int32Array,
         spacing: float,
-    ) -> tuple[Float32Array, Float32Array]:
-        """Renders some pixels of virtual views.
+    ) -> VirtualViews:
+        """Some pixels of virtual views, which can be rendered, and compared with an image.
 
         Args:
             poses: (B, 4, 4) world_from_camera.
@@ -403,6 +403,13 @@ class LightField:
             samples: of depth maps of this light field; None: the surface is the plane.
             sources: (B, S) whose depth maps make the surface; -1 behind the last.
             spacing: of the vertices that approximate it, at least 1 pixel.
+        """
+
+class VirtualViews:
+    """P pixels of B virtual views; ``LightField.views`` makes them."""
+
+    def render(self) -> tuple[Float32Array, Float32Array]:
+        """Renders them.
 
         Returns:
             (B, P, 4) RGB, 0 to 255, and 1 where any photo shows the pixel, all zero elsewhere; and
@@ -411,20 +418,6 @@ class LightField:
 
     def costs(
         self,
-        poses: FloatArray,
-        intrinsics: FloatArray,
-        across: IntArray,
-        down: IntArray,
-        outlook_across: IntArray,
-        outlook_down: IntArray,
-        frustum_across: IntArray,
-        frustum_down: IntArray,
-        pixels: Int32Array,
-        width: int,
-        height: int,
-        samples: DepthSamples | None,
-        sources: Int32Array,
-        spacing: float,
         query: Float32Array,
         cost: int,
         fit_gain: bool,
@@ -433,23 +426,9 @@ class LightField:
         table: Float32Array,
         evidence_bin: float,
     ) -> FloatArray:
-        """Renders virtual views and compares them with a camera image.
+        """Renders them and compares them with a camera image.
 
         Args:
-            poses: (B, 4, 4) world_from_camera.
-            intrinsics: (4,) or more: fx, fy, cx, cy.
-            across: columns of the tiles' corners, and
-            down: their rows.
-            outlook_across: (4,) columns of the points that narrow many photos down, and
-            outlook_down: (4,) their rows.
-            frustum_across: columns of the points one of which a view of a mesh has to see, and
-            frustum_down: their rows.
-            pixels: (P,) indices in the image, rising.
-            width: of the image, and
-            height: of it.
-            samples: of depth maps of this light field; None: the surface is the plane.
-            sources: (B, S) whose depth maps make the surface; -1 behind the last.
-            spacing: of the vertices that approximate it, at least 1 pixel.
             query: (h, w, 4) these P = h w pixels; see ``comparison.compare``.
             cost: a ``Cost``.
             fit_gain: whether a brightness factor is fitted for each view.

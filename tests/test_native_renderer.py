@@ -1,5 +1,6 @@
 """Rendering and comparing in C++: what costs are of, what changes nothing, what is refused."""
 
+import gc
 from collections.abc import Callable
 from typing import Any
 
@@ -264,7 +265,7 @@ def test_a_wrong_array_of_a_scene_is_named(name: str, spoil: Callable[[Any], obj
         native.LightField(**given | {name: spoil(given[name])})
 
 
-def comparison_arguments() -> dict[str, Any]:
+def views_arguments() -> dict[str, Any]:
     camera = SIZES[0]
     _, poses = light_field(1, 12)
     return {
@@ -282,6 +283,11 @@ def comparison_arguments() -> dict[str, Any]:
         "samples": None,
         "sources": np.zeros((len(poses), 2), np.int32),
         "spacing": 1.0,
+    }
+
+
+def comparison_arguments() -> dict[str, Any]:
+    return {
         "query": np.ones((1, 7, 4), np.float32),
         "cost": int(Cost.EVIDENCE),
         "fit_gain": False,
@@ -331,10 +337,23 @@ def test_a_wrong_argument_of_a_comparison_is_named(
     name: str, spoil: Callable[[Any], object]
 ) -> None:
     scene = native.LightField(**scene_arguments())
-    given = comparison_arguments()
-    assert scene.costs(**given).shape == (40,)
+    views, given = views_arguments(), comparison_arguments()
+    assert scene.views(**views).costs(**given).shape == (40,)
+    wrong = spoil((views | given)[name])
     with pytest.raises((TypeError, ValueError), match=rf"^{name}: [^\n]+$"):
-        scene.costs(**given | {name: spoil(given[name])})
+        if name in views:
+            scene.views(**views | {name: wrong})
+        else:
+            scene.views(**views).costs(**given | {name: wrong})
+
+
+def test_views_outlive_what_they_were_made_of() -> None:
+    arguments, given = scene_arguments(), comparison_arguments()
+    views = native.LightField(**arguments).views(**views_arguments())
+    expected = views.costs(**given)
+    del arguments
+    gc.collect()
+    np.testing.assert_array_equal(views.costs(**given), expected)
 
 
 def test_samples_of_another_light_field_are_refused() -> None:
@@ -343,7 +362,7 @@ def test_samples_of_another_light_field_are_refused() -> None:
     assert renderer._native is not None
     samples = renderer._native.surfaces(poses, SIZES[0]).samples
     with pytest.raises(ValueError, match=r"^samples: those of this light field expected$"):
-        scene.costs(**comparison_arguments() | {"samples": samples})
+        scene.views(**views_arguments() | {"samples": samples})
 
 
 SAMPLING: list[tuple[str, Callable[[Any], object]]] = [

@@ -9,7 +9,6 @@ from pipelines.artifacts.array_types import (
     Float32Array,
     FloatArray,
     Int32Array,
-    IntArray,
 )
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
@@ -46,7 +45,7 @@ from pipelines.lightfield.reference import SMALLEST_WEIGHT, frustum_positions
 from pipelines.lightfield.sample_store import SampleStore
 from pipelines.lightfield.view_index import ViewIndex
 from pipelines.lightfield.views import Views
-from pipelines.native import DepthSamples, LightField
+from pipelines.native import DepthSamples, LightField, VirtualViews
 
 
 @dataclass(frozen=True)
@@ -160,17 +159,7 @@ class NativeRenderer:
         Returns:
             ``(B, P, 4)`` RGB and whether the pixel is covered, and inverse depths ``(B, P)``.
         """
-        return self._light_field.render(
-            poses,
-            intrinsics.vector(),
-            *_grid(intrinsics),
-            chosen,
-            intrinsics.width,
-            intrinsics.height,
-            surfaces.samples,
-            surfaces.sources,
-            surfaces.spacing,
-        )
+        return self._virtual_views(poses, surfaces, intrinsics, chosen).render()
 
     def costs(
         self,
@@ -195,16 +184,7 @@ class NativeRenderer:
             fit_gain: whether a brightness factor is fitted for each pose.
             table: see there; empty but for EVIDENCE.
         """
-        return self._light_field.costs(
-            poses,
-            intrinsics.vector(),
-            *_grid(intrinsics),
-            chosen,
-            intrinsics.width,
-            intrinsics.height,
-            surfaces.samples,
-            surfaces.sources,
-            surfaces.spacing,
+        return self._virtual_views(poses, surfaces, intrinsics, chosen).costs(
             target,
             int(cost),
             fit_gain,
@@ -214,17 +194,24 @@ class NativeRenderer:
             EVIDENCE_BIN,
         )
 
-
-def _grid(
-    intrinsics: Intrinsics,
-) -> tuple[IntArray, IntArray, IntArray, IntArray, IntArray, IntArray]:
-    """Columns and rows: of the tiles' corners, of points of the outlook and of the frustum."""
-    width, height = intrinsics.width, intrinsics.height
-    return (
-        tile_borders(width),
-        tile_borders(height),
-        outlook_positions(width),
-        outlook_positions(height),
-        frustum_positions(width),
-        frustum_positions(height),
-    )
+    def _virtual_views(
+        self, poses: FloatArray, surfaces: Surfaces, intrinsics: Intrinsics, chosen: Int32Array
+    ) -> VirtualViews:
+        """As the core takes them; see ``draw``."""
+        width, height = intrinsics.width, intrinsics.height
+        return self._light_field.views(
+            poses,
+            intrinsics.vector(),
+            tile_borders(width),
+            tile_borders(height),
+            outlook_positions(width),
+            outlook_positions(height),
+            frustum_positions(width),
+            frustum_positions(height),
+            chosen,
+            width,
+            height,
+            surfaces.samples,
+            surfaces.sources,
+            surfaces.spacing,
+        )
