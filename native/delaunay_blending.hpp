@@ -26,11 +26,7 @@ class DelaunayBlending {
           frustum_(views.grid.frustum_across.size() * views.grid.frustum_down.size()),
           inverse_depths_(frustum_.count()),
           mesh_(field.mesh, views.width, views.height, views.pixels, middle) {
-        const std::span<const std::int64_t> across = views.grid.frustum_across;
-        for (std::size_t i = 0; i < frustum_.count(); ++i) {
-            frustum_.x[i] = static_cast<float>(across[i % across.size()]);
-            frustum_.y[i] = static_cast<float>(views.grid.frustum_down[i / across.size()]);
-        }
+        frustum_.set_crossings(views.grid.frustum_across, views.grid.frustum_down);
         surface.prepare(frustum_);
     }
 

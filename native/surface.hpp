@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include "homography.hpp"
@@ -24,6 +25,17 @@ struct Places {
 
     explicit Places(std::size_t count) : x(count + TOGETHER), y(count + TOGETHER) {}
     std::size_t count() const { return x.size() - TOGETHER; }
+
+    /// Puts them where columns and rows cross, row by row; the last one stands for those that are
+    /// too many.
+    void set_crossings(std::span<const std::int64_t> columns, std::span<const std::int64_t> rows) {
+        const std::size_t across = columns.size(), crossings = across * rows.size();
+        for (std::size_t i = 0; i < count(); ++i) {
+            const std::size_t crossing = std::min(i, crossings - 1);
+            x[i] = static_cast<float>(columns[crossing % across]);
+            y[i] = static_cast<float>(rows[crossing / across]);
+        }
+    }
 };
 
 class Surface {

@@ -37,19 +37,8 @@ class Tiling {
         for (std::size_t row = 0; row < all_rows_.size(); ++row) {
             all_rows_[row] = static_cast<std::int32_t>(row);
         }
-        const Grid& grid = grid_;
-        for (std::size_t i = 0; i < POINTS; ++i) {
-            const std::size_t side = grid.outlook_across.size();
-            outlook_.x[i] = static_cast<float>(grid.outlook_across[i % side]);
-            outlook_.y[i] = static_cast<float>(grid.outlook_down[i / side]);
-        }
-        const std::size_t corners = grid.across.size() * grid.down.size();
-        for (std::size_t i = 0; i < corners_.count(); ++i) {
-            // The last corner stands for those that are not there.
-            const std::size_t corner = std::min(i, corners - 1);
-            corners_.x[i] = static_cast<float>(grid.across[corner % grid.across.size()]);
-            corners_.y[i] = static_cast<float>(grid.down[corner / grid.across.size()]);
-        }
+        outlook_.set_crossings(grid_.outlook_across, grid_.outlook_down);
+        corners_.set_crossings(grid_.across, grid_.down);
         surface.prepare(outlook_);
         surface.prepare(corners_);
         order_pixels(views, middle);
