@@ -70,19 +70,17 @@ nb::tuple python_normal_equations(nb::handle image, nb::handle inverse_depth, nb
     const MaskedImageArgument own(image, "image");
     const MaskedImage rendered = own;
     const ArrayArgument<float> depth(inverse_depth, "inverse_depth",
-                                     {static_cast<std::ptrdiff_t>(rendered.height),
-                                      static_cast<std::ptrdiff_t>(rendered.width)});
+                                     {rendered.height, rendered.width});
     const MaskedImageArgument wanted(target, "target", rendered);
     const ArrayArgument<double> pinhole(intrinsics, "intrinsics", {4});
     const ArrayArgument<double> turned(rotation, "rotation", {3, 3});
     const ArrayArgument<double> arm(lever, "lever", {3});
-    const ArrayArgument<double> directions(axes, "axes", {ArrayArgument<double>::ANY, 3});
+    const ArrayArgument<double> directions(axes, "axes", {ANY, 3});
     const std::size_t unknowns = directions.shape(0);
     if (unknowns > MOST_UNKNOWNS) {
         refuse_value("axes", "at most 6 unknowns expected");
     }
-    const ArrayArgument<bool> kinds(is_rotation, "is_rotation",
-                                    {static_cast<std::ptrdiff_t>(unknowns)});
+    const ArrayArgument<bool> kinds(is_rotation, "is_rotation", {unknowns});
     const std::size_t tiles = integer_between(1, MOST_TILES_ACROSS, tiles_across, "tiles_across");
     const double* const lens = pinhole.data();
     const AlignedView view{rendered,

@@ -37,10 +37,10 @@ std::string number_text(double value) {
 }
 
 /// "(H, W, 4)" would be nicer, but what axes are called only the documentation knows.
-std::string wanted_text(std::initializer_list<std::ptrdiff_t> shape) {
+std::string wanted_text(std::initializer_list<std::size_t> shape) {
     std::string result = "(";
-    for (const std::ptrdiff_t length : shape) {
-        result += (result.size() > 1 ? ", " : "") + (length < 0 ? "*" : std::to_string(length));
+    for (const std::size_t length : shape) {
+        result += (result.size() > 1 ? ", " : "") + (length == ANY ? "*" : std::to_string(length));
     }
     return result + (shape.size() == 1 ? ",)" : ")");
 }
@@ -76,7 +76,7 @@ void refuse_value(const char* name, const std::string& reason) {
 
 template <typename Element>
 ArrayArgument<Element>::ArrayArgument(nb::handle array, const char* name,
-                                      std::initializer_list<std::ptrdiff_t> shape) {
+                                      std::initializer_list<std::size_t> shape) {
     const std::string wanted = ELEMENT_NAME<Element>;
     const bool is_array = nb::ndarray_check(array);
     if (!is_array || !nb::try_cast(array, array_) || array_.dtype() != nb::dtype<Element>()) {
@@ -86,8 +86,8 @@ ArrayArgument<Element>::ArrayArgument(nb::handle array, const char* name,
     }
     bool fits = array_.ndim() == shape.size();
     for (std::size_t axis = 0; fits && axis < shape.size(); ++axis) {
-        const std::ptrdiff_t length = shape.begin()[axis];
-        fits = length == ANY || array_.shape(axis) == static_cast<std::size_t>(length);
+        const std::size_t length = shape.begin()[axis];
+        fits = length == ANY || array_.shape(axis) == length;
     }
     if (!fits) {
         refuse_value(name, "shape " + wanted_text(shape) + " expected, got " + given_text(array_));
@@ -111,13 +111,11 @@ template class ArrayArgument<std::int32_t>;
 template class ArrayArgument<std::int64_t>;
 
 MaskedImageArgument::MaskedImageArgument(nb::handle array, const char* name)
-    : array_(array, name, {ArrayArgument<float>::ANY, ArrayArgument<float>::ANY, 4}) {}
+    : array_(array, name, {ANY, ANY, 4}) {}
 
 MaskedImageArgument::MaskedImageArgument(nb::handle array, const char* name,
                                          const MaskedImage& like)
-    : array_(
-          array, name,
-          {static_cast<std::ptrdiff_t>(like.height), static_cast<std::ptrdiff_t>(like.width), 4}) {}
+    : array_(array, name, {like.height, like.width, 4}) {}
 
 double finite_number(nb::handle number, const char* name) {
     const double value = PyFloat_AsDouble(number.ptr());
@@ -165,12 +163,13 @@ std::size_t integer_between(std::size_t least, std::size_t most, nb::handle numb
     return static_cast<std::size_t>(value);
 }
 
-void check_range(std::span<const std::int32_t> values, std::int64_t least, std::int64_t end,
+void check_range(std::span<const std::int32_t> values, std::int64_t least, std::size_t end,
                  const char* name) {
+    const auto last = static_cast<std::int64_t>(end) - 1;
     for (const std::int32_t value : values) {
-        if (value < least || value >= end) {
+        if (value < least || value > last) {
             refuse_value(name, "numbers from " + std::to_string(least) + " to " +
-                                   std::to_string(end - 1) + " expected, got " +
+                                   std::to_string(last) + " expected, got " +
                                    std::to_string(value));
         }
     }

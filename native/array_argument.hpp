@@ -8,12 +8,18 @@
 #include <cstddef>
 #include <cstdint>
 #include <initializer_list>
+#include <limits>
 #include <span>
 #include <string>
 
 #include "image.hpp"
 
 namespace lfnav {
+
+/// Of an array's axis that may have any length.
+constexpr std::size_t ANY = std::numeric_limits<std::size_t>::max();
+/// Of images, pixels: all of them are told apart by 32 bits.
+constexpr std::size_t LONGEST_SIDE = 1 << 15;
 
 /// An argument that a function takes whatever it is, and checks itself.
 inline auto argument(const char* name) { return nanobind::arg(name).none(); }
@@ -30,9 +36,7 @@ class ArrayArgument {
   public:
     /// @param shape: what is wanted; ANY for an axis of any length.
     ArrayArgument(nanobind::handle array, const char* name,
-                  std::initializer_list<std::ptrdiff_t> shape);
-
-    static constexpr std::ptrdiff_t ANY = -1;
+                  std::initializer_list<std::size_t> shape);
 
     const Element* data() const { return static_cast<const Element*>(array_.data()); }
     std::size_t shape(std::size_t axis) const { return array_.shape(axis); }
@@ -72,7 +76,7 @@ std::size_t integer_between(std::size_t least, std::size_t most, nanobind::handl
                             const char* name);
 
 /// Refuses an array in which a number is below the least or not below the end.
-void check_range(std::span<const std::int32_t> values, std::int64_t least, std::int64_t end,
+void check_range(std::span<const std::int32_t> values, std::int64_t least, std::size_t end,
                  const char* name);
 
 /// A new NumPy array, all of its elements zero, and where they are.

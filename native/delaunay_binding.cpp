@@ -11,8 +11,6 @@ namespace lfnav {
 
 namespace {
 
-constexpr std::ptrdiff_t ANY = ArrayArgument<double>::ANY;
-
 nb::object python_delaunay_triangles(nb::handle points, nb::handle smallest_area) {
     const ArrayArgument<double> places(points, "points", {ANY, 2});
     const double smallest = number_from(0.0, smallest_area, "smallest_area");
@@ -29,15 +27,13 @@ nb::tuple python_delaunay_meshes(nb::handle poses, nb::handle intrinsics, nb::ha
     const ArrayArgument<double> lens(intrinsics, "intrinsics", {4});
     const ArrayArgument<double> places(centres, "centres", {ANY, 3});
     const std::size_t count = cameras.shape(0), photos = places.shape(0);
-    const ArrayArgument<bool> chosen(
-        takes_part, "takes_part",
-        {static_cast<std::ptrdiff_t>(count), static_cast<std::ptrdiff_t>(photos)});
+    const ArrayArgument<bool> chosen(takes_part, "takes_part", {count, photos});
     const ArrayArgument<double> numbers(limits, "limits", {4});
     const MeshedViews views{cameras.data(),
                             count,
                             lens.data(),
-                            integer_between(1, 1 << 15, width, "width"),
-                            integer_between(1, 1 << 15, height, "height"),
+                            integer_between(1, LONGEST_SIDE, width, "width"),
+                            integer_between(1, LONGEST_SIDE, height, "height"),
                             places.data(),
                             chosen.data(),
                             photos};

@@ -16,15 +16,10 @@ namespace lfnav {
 
 namespace {
 
-constexpr std::ptrdiff_t ANY = ArrayArgument<double>::ANY;
-// Pixels have to be told apart by 32 bits.
-constexpr std::size_t LONGEST_SIDE = 1 << 15;
 // Their numbers have to be exact in single precision, fractions included.
 constexpr std::size_t MOST_PLANES = 1 << 16;
 // Penalties are far below what bounds the planes.
 constexpr double LARGEST_PENALTY = 1e6;
-
-std::ptrdiff_t signed_size(std::size_t size) { return static_cast<std::ptrdiff_t>(size); }
 
 /// An image (H, W).
 template <typename Element>
@@ -37,7 +32,7 @@ class ImageArgument : public ArrayArgument<Element> {
         }
     }
     ImageArgument(nb::handle array, const std::string& name, std::size_t height, std::size_t width)
-        : ArrayArgument<Element>(array, name.c_str(), {signed_size(height), signed_size(width)}) {}
+        : ArrayArgument<Element>(array, name.c_str(), {height, width}) {}
 
     /// As a kernel takes it.
     template <typename Image>
@@ -75,7 +70,7 @@ nb::object python_plane_sweep(nb::handle reference, nb::handle photos, nb::handl
                               nb::handle inverse_depths, nb::handle best, nb::handle saturation) {
     const ImageArgument<std::uint8_t> own(reference, "reference");
     const auto images = images_of<std::uint8_t>(photos, "photos");
-    const ArrayArgument<double> mapped(maps, "maps", {signed_size(images.size()), 3, 4});
+    const ArrayArgument<double> mapped(maps, "maps", {images.size(), 3, 4});
     const ArrayArgument<double> planes(inverse_depths, "inverse_depths", {ANY});
     const std::size_t kept = integer_between(1, 1 << 15, best, "best");
     const auto limit = static_cast<float>(positive_number(saturation, "saturation"));
@@ -98,8 +93,7 @@ nb::tuple python_semi_global_matching(nb::handle volume, nb::handle reference, n
                                       nb::handle least_jump) {
     const ImageArgument<std::uint8_t> own(reference, "reference");
     const std::size_t height = own.shape(0), width = own.shape(1);
-    const ArrayArgument<std::uint8_t> costs(volume, "volume",
-                                            {signed_size(height), signed_size(width), ANY});
+    const ArrayArgument<std::uint8_t> costs(volume, "volume", {height, width, ANY});
     if (costs.shape(2) < 1 || costs.shape(2) > MOST_PLANES) {
         refuse_value("volume", "from 1 to 65536 planes expected");
     }
@@ -126,8 +120,8 @@ nb::tuple python_fuse_depth(nb::handle inverse_depth, nb::handle others, nb::han
     if (sure.size() != maps.size()) {
         refuse_value("confident", "as many as others expected");
     }
-    const ArrayArgument<double> to(to_view, "to_view", {signed_size(maps.size()), 3, 4});
-    const ArrayArgument<double> from(from_view, "from_view", {signed_size(maps.size()), 3, 4});
+    const ArrayArgument<double> to(to_view, "to_view", {maps.size(), 3, 4});
+    const ArrayArgument<double> from(from_view, "from_view", {maps.size(), 3, 4});
     std::vector<NeighbourDepth> neighbours;
     neighbours.reserve(maps.size());
     for (std::size_t i = 0; i < maps.size(); ++i) {

@@ -12,14 +12,10 @@ void bind_mixture_density(nb::module_& module) {
         "log_mixture_density",
         [](nb::handle positions, nb::handle centres, nb::handle angles, nb::handle log_weights,
            nb::handle position_sigma, nb::handle angle_sigma) {
-            constexpr std::ptrdiff_t ANY = ArrayArgument<double>::ANY;
             const ArrayArgument<double> places(positions, "positions", {ANY, ANY});
-            const auto dimensions = static_cast<std::ptrdiff_t>(places.shape(1));
-            const ArrayArgument<double> of(centres, "centres", {ANY, dimensions});
-            const auto count = static_cast<std::ptrdiff_t>(of.shape(0));
-            const ArrayArgument<double> turned(
-                angles, "angles", {static_cast<std::ptrdiff_t>(places.shape(0)), count});
-            const ArrayArgument<double> weights(log_weights, "log_weights", {count});
+            const ArrayArgument<double> of(centres, "centres", {ANY, places.shape(1)});
+            const ArrayArgument<double> turned(angles, "angles", {places.shape(0), of.shape(0)});
+            const ArrayArgument<double> weights(log_weights, "log_weights", {of.shape(0)});
             const Mixture mixture{of.shape(0),
                                   of.shape(1),
                                   of.data(),

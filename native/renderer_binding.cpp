@@ -16,11 +16,6 @@ namespace lfnav {
 
 namespace {
 
-template <typename Element>
-constexpr std::ptrdiff_t ANY = ArrayArgument<Element>::ANY;
-
-std::ptrdiff_t signed_size(std::size_t size) { return static_cast<std::ptrdiff_t>(size); }
-
 /// Columns, or rows, of an image, none of which goes back.
 void check_places(std::span<const std::int64_t> places, std::size_t length, const char* name) {
     std::int64_t before = 0;
@@ -43,25 +38,25 @@ class PythonLightField {
                      nb::handle blocks, nb::handle groups, nb::handle plane,
                      nb::handle depth_settings, nb::handle penalties, nb::handle most_ranked,
                      nb::handle smallest_weight, bool has_mesh, nb::handle mesh)
-        : texels_(texels, "texels", {ANY<std::uint8_t>, 4}),
-          level_start_(level_start, "level_start", {ANY<std::int64_t>, ANY<std::int64_t>}),
+        : texels_(texels, "texels", {ANY, 4}),
+          level_start_(level_start, "level_start", {ANY, ANY}),
           level_size_(level_size, "level_size", {photos(), levels(), 2}),
           projection_(projection, "projection", {photos(), 3, 4}),
           rays_(rays, "rays", {photos(), 3, 3}),
           centres_(centres, "centres", {photos(), 3}),
           focal_(focal, "focal", {photos()}),
-          inverse_depth_(inverse_depth, "inverse_depth", {ANY<float>}),
+          inverse_depth_(inverse_depth, "inverse_depth", {ANY}),
           depth_start_(depth_start, "depth_start", {photos()}),
           depth_size_(depth_size, "depth_size", {photos(), 2}),
-          pooled_depth_(pooled_depth, "pooled_depth", {ANY<float>}),
+          pooled_depth_(pooled_depth, "pooled_depth", {ANY}),
           pooled_start_(pooled_start, "pooled_start", {photos()}),
           usable_(usable, "usable", {photos()}),
           origin_(origin, "origin", {3}),
-          order_(order, "order", {ANY<std::int32_t>}),
-          numbers_(numbers, "numbers", {signed_size(ranked() * PhotoIndex::PHOTO_NUMBERS)}),
-          members_(members, "members", {ANY<std::int32_t>}),
-          blocks_(blocks, "blocks", {signed_size(members_.shape(0) * PhotoIndex::PHOTO_NUMBERS)}),
-          groups_(groups, "groups", {signed_size(group_count() * PhotoIndex::GROUP_NUMBERS)}),
+          order_(order, "order", {ANY}),
+          numbers_(numbers, "numbers", {ranked() * PhotoIndex::PHOTO_NUMBERS}),
+          members_(members, "members", {ANY}),
+          blocks_(blocks, "blocks", {members_.shape(0) * PhotoIndex::PHOTO_NUMBERS}),
+          groups_(groups, "groups", {group_count() * PhotoIndex::GROUP_NUMBERS}),
           plane_(plane, "plane", {4}),
           depth_settings_(depth_settings, "depth_settings", {5}),
           penalties_(penalties, "penalties", {4}),
@@ -73,7 +68,7 @@ class PythonLightField {
         check_levels();
         check_depth_maps();
         check_range(order_.span(), 0, photos(), "order");
-        check_range(members_.span(), -1, signed_size(ranked()), "members");
+        check_range(members_.span(), -1, ranked(), "members");
         if (members_.shape(0) % PhotoIndex::GROUP_PHOTOS != 0) {
             refuse_value("members", "groups of 16 expected");
         }
@@ -83,11 +78,10 @@ class PythonLightField {
         const double *const penalty = penalties_.data(), *const depth = depth_settings_.data();
         const auto number = [&](std::size_t i) { return static_cast<float>(penalty[i]); };
         return {
-            {static_cast<std::size_t>(photos()), static_cast<std::size_t>(levels()), texels_.data(),
-             level_start_.data(), level_size_.data(), projection_.data(), centres_.data(),
-             focal_.data(), usable_.data(), rays_.data(), inverse_depth_.data(),
-             depth_start_.data(), depth_size_.data(), pooled_depth_.data(), pooled_start_.data(),
-             has_depth_, static_cast<float>(depth[4])},
+            {photos(), levels(), texels_.data(), level_start_.data(), level_size_.data(),
+             projection_.data(), centres_.data(), focal_.data(), usable_.data(), rays_.data(),
+             inverse_depth_.data(), depth_start_.data(), depth_size_.data(), pooled_depth_.data(),
+             pooled_start_.data(), has_depth_, static_cast<float>(depth[4])},
             {ranked(), group_count(), origin_.data(), order_.data(), numbers_.data(),
              members_.data(), blocks_.data(), groups_.data()},
             plane_.data(),
@@ -101,8 +95,8 @@ class PythonLightField {
     }
 
   private:
-    std::ptrdiff_t photos() const { return signed_size(level_start_.shape(0)); }
-    std::ptrdiff_t levels() const { return signed_size(level_start_.shape(1)); }
+    std::size_t photos() const { return level_start_.shape(0); }
+    std::size_t levels() const { return level_start_.shape(1); }
     std::size_t ranked() const { return order_.shape(0); }
     std::size_t group_count() const { return members_.shape(0) / PhotoIndex::GROUP_PHOTOS; }
 
@@ -128,7 +122,7 @@ class PythonLightField {
     /// Depth maps, and what is pooled of them, are within their arrays.
     void check_depth_maps() {
         constexpr std::int64_t pooling = Photos::POOLING;
-        for (std::size_t photo = 0; photo < level_start_.shape(0); ++photo) {
+        for (std::size_t photo = 0; photo < photos(); ++photo) {
             const std::int64_t width = depth_size_.data()[2 * photo];
             const std::int64_t height = depth_size_.data()[2 * photo + 1];
             if (width < 0 || width > MOST || height < 0 || height > MOST ||
@@ -157,8 +151,7 @@ class PythonLightField {
         }
     }
 
-    /// Of pixels along one side of an image.
-    static constexpr std::int64_t MOST = 1 << 15;
+    static constexpr auto MOST = static_cast<std::int64_t>(LONGEST_SIDE);
 
     ArrayArgument<std::uint8_t> texels_;
     ArrayArgument<std::int64_t> level_start_, level_size_;
@@ -190,18 +183,18 @@ class PythonVirtualViews {
                        nb::handle pixels, nb::handle width, nb::handle height, nb::handle samples,
                        nb::handle sources, nb::handle spacing)
         : field_(field),
-          poses_(poses, "poses", {ANY<double>, 4, 4}),
-          intrinsics_(intrinsics, "intrinsics", {ANY<double>}),
-          across_(across, "across", {ANY<std::int64_t>}),
-          down_(down, "down", {ANY<std::int64_t>}),
+          poses_(poses, "poses", {ANY, 4, 4}),
+          intrinsics_(intrinsics, "intrinsics", {ANY}),
+          across_(across, "across", {ANY}),
+          down_(down, "down", {ANY}),
           outlook_across_(outlook_across, "outlook_across", {4}),
           outlook_down_(outlook_down, "outlook_down", {4}),
-          frustum_across_(frustum_across, "frustum_across", {ANY<std::int64_t>}),
-          frustum_down_(frustum_down, "frustum_down", {ANY<std::int64_t>}),
-          pixels_(pixels, "pixels", {ANY<std::int32_t>}),
-          width_(integer_between(1, 1 << 15, width, "width")),
-          height_(integer_between(1, 1 << 15, height, "height")),
-          sources_(sources, "sources", {signed_size(count()), ANY<std::int32_t>}),
+          frustum_across_(frustum_across, "frustum_across", {ANY}),
+          frustum_down_(frustum_down, "frustum_down", {ANY}),
+          pixels_(pixels, "pixels", {ANY}),
+          width_(integer_between(1, LONGEST_SIDE, width, "width")),
+          height_(integer_between(1, LONGEST_SIDE, height, "height")),
+          sources_(sources, "sources", {count(), ANY}),
           spacing_(number_from(1.0, spacing, "spacing")),
           samples_owner_(nb::borrow(samples)) {
         const std::size_t photos = field.light_field().photos.count;
@@ -211,7 +204,7 @@ class PythonVirtualViews {
         if (samples_ != nullptr && samples_->starts.size() != photos) {
             refuse_value("samples", "those of this light field expected");
         }
-        check_range(sources_.span(), -1, signed_size(photos), "sources");
+        check_range(sources_.span(), -1, photos, "sources");
         if (intrinsics_.shape(0) < 4) {
             refuse_value("intrinsics", "fx, fy, cx, cy expected");
         }
@@ -224,7 +217,7 @@ class PythonVirtualViews {
         check_places(outlook_down_.span(), height_, "outlook_down");
         check_places(frustum_across_.span(), width_, "frustum_across");
         check_places(frustum_down_.span(), height_, "frustum_down");
-        check_range(pixels_.span(), 0, signed_size(width_ * height_), "pixels");
+        check_range(pixels_.span(), 0, width_ * height_, "pixels");
     }
 
     std::size_t count() const { return poses_.shape(0); }
@@ -262,8 +255,8 @@ class PythonVirtualViews {
 DepthSamples python_depth_samples(const PythonLightField& self, nb::handle is_source,
                                   nb::handle steps) {
     const Photos photos = self.light_field().photos;
-    const ArrayArgument<bool> wanted(is_source, "is_source", {signed_size(photos.count)});
-    const ArrayArgument<double> distances(steps, "steps", {signed_size(photos.count)});
+    const ArrayArgument<bool> wanted(is_source, "is_source", {photos.count});
+    const ArrayArgument<double> distances(steps, "steps", {photos.count});
     for (const double step : distances.span()) {
         if (!(step >= 1.0)) {
             refuse_value("steps", "at least 1 pixel expected");
@@ -275,7 +268,7 @@ DepthSamples python_depth_samples(const PythonLightField& self, nb::handle is_so
 
 nb::object python_sources(const PythonLightField& self, nb::handle poses,
                           nb::handle usual_inverse_depth, nb::handle turn_cost, nb::handle most) {
-    const ArrayArgument<double> cameras(poses, "poses", {ANY<double>, 4, 4});
+    const ArrayArgument<double> cameras(poses, "poses", {ANY, 4, 4});
     const double near = number_from(0.0, usual_inverse_depth, "usual_inverse_depth");
     const double turn = number_from(0.0, turn_cost, "turn_cost");
     const std::size_t count = integer_between(1, 1 << 15, most, "most");
@@ -312,7 +305,7 @@ class ComparisonArgument {
           fit_gain_(fit_gain),
           limits_(limits, "limits", {3}),
           uncovered_(uncovered, "uncovered", {4}),
-          table_(table, "table", {ANY<float>, ANY<float>}),
+          table_(table, "table", {ANY, ANY}),
           evidence_bin_(static_cast<float>(positive_number(evidence_bin, "evidence_bin"))) {
         if (cost_ != Cost::EVIDENCE) {
             return;
