@@ -41,7 +41,7 @@ from pipelines.lightfield.gpu_work import (
     tile_bytes,
     tiles_of,
 )
-from pipelines.lightfield.proxy import Quality, cell_size, usual_inverse_depth
+from pipelines.lightfield.proxy import Quality, cell_size
 from pipelines.lightfield.renderer import Renderer, Rendering, check_query
 from pipelines.lightfield.views import Views
 
@@ -94,12 +94,8 @@ class GpuRenderer(Renderer):
         self._sight = self._programs.sight() if self._has_net else None
         self._scratch = Scratch(gpu)
         self._lock = threading.Lock()
-        usable = np.ones(len(views), dtype=bool)
-        if not self._has_depth:
-            usable = plane.signed_distance(views.centres) > 0.0
-        self._usual_depth = usual_inverse_depth(self.views)
         with card_errors():
-            self._card = upload_views(gpu, self.views, usable)
+            self._card = upload_views(gpu, self.views, self._usable)
         self._plane = plane.coefficients().copy()
         self._plane[3] += self._plane[:3] @ self._card.origin
 
@@ -199,7 +195,7 @@ class GpuRenderer(Renderer):
 
     def _settings(self, sizes: Sizes) -> NDArray[np.void]:
         return settings_for(
-            sizes, self._plane, self._card.count, self._card.levels, self._usual_depth
+            sizes, self._plane, self._card.count, self._card.levels, self._usual_inverse_depth
         )
 
     def _comparison(self, cost: Cost, fit_gain: bool) -> Program:

@@ -123,16 +123,16 @@ class Renderer:
         self.quality = quality
         self.threads = threads or processor_count()
         self._pool = ThreadPoolExecutor(self.threads)
-        usable = np.ones(len(views), dtype=np.bool_)
+        self._usable = np.ones(len(views), dtype=np.bool_)
         if quality is Quality.PLANE:
-            usable = plane.signed_distance(views.centres) > 0.0
+            self._usable = plane.signed_distance(views.centres) > 0.0
         if usual_inverse_depth is None:
             usual_inverse_depth = median_inverse_depth(self.views)
         self._usual_inverse_depth = usual_inverse_depth
         self._native = NativeRenderer(
             self.views,
-            build_index(self.views, usable),
-            usable,
+            build_index(self.views, self._usable),
+            self._usable,
             plane,
             blending,
             quality,
