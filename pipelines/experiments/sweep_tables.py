@@ -9,13 +9,12 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-import scipy
 
 from pipelines.experiments.sweep_result import RunResult
 from pipelines.experiments.sweep_run import Setup
+from pipelines.localize.calibration import wilson_interval
 from pipelines.localize.trust import pooled_calibration_error
 
-CONFIDENCE = 0.95
 # The share of runs that are no worse.
 QUANTILES = (0.1, 0.5, 0.9)
 # Measures of which the table has these quantiles: attribute of ``RunResult``, unit of the columns.
@@ -65,11 +64,7 @@ class Line:
     @property
     def interval(self) -> tuple[float, float]:
         """Wilson's 95 % interval of the success rate; 0 to 1 where there are no runs."""
-        if not self.results:
-            return 0.0, 1.0
-        test = scipy.stats.binomtest(self.successes, len(self.results))
-        interval = test.proportion_ci(CONFIDENCE, method="wilson")
-        return float(interval.low), float(interval.high)
+        return wilson_interval(self.successes, len(self.results))
 
     def quantile(self, measure: str, share: float) -> float:
         """The value that this share of the runs does not exceed.
