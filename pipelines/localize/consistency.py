@@ -19,7 +19,7 @@ from pipelines.localize.run import Run
 REGION = 0.95
 
 
-def _chi_square_quantile(level: float, degrees_of_freedom: int) -> float:
+def chi_square_quantile(level: float, degrees_of_freedom: int) -> float:
     """Below this a chi-square distributed number lies with probability ``level``."""
     return float(2.0 * scipy.special.gammaincinv(0.5 * degrees_of_freedom, level))
 
@@ -39,7 +39,7 @@ class Consistency:
     @property
     def in_region(self) -> float:
         """Share of the frames with the truth inside the stated 95 % region."""
-        limit = _chi_square_quantile(REGION, self.degrees_of_freedom)
+        limit = chi_square_quantile(REGION, self.degrees_of_freedom)
         return float(np.mean(self.squared_errors <= limit))
 
     @property
@@ -53,7 +53,7 @@ class Consistency:
         total = self.degrees_of_freedom * len(self.squared_errors)
         tail = 0.5 * (1.0 - REGION)
         count = len(self.squared_errors)
-        low, high = (_chi_square_quantile(level, total) for level in (tail, 1.0 - tail))
+        low, high = (chi_square_quantile(level, total) for level in (tail, 1.0 - tail))
         return low / count, high / count
 
     def rows(self) -> list[tuple[str, ...]]:

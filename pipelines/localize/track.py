@@ -16,9 +16,9 @@ nearest one. After several such images running the track is given up: it is odom
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 
 from pipelines.artifacts.array_types import FloatArray
+from pipelines.localize.consistency import chi_square_quantile
 from pipelines.localize.refinement import Prior, Refined
 from pipelines.localize.state_space import StateSpace
 
@@ -74,7 +74,10 @@ class Track:
         """
         innovation = space.difference(aligned.state, self.state)
         total = self.covariance + doubt * aligned.covariance
-        return bool(innovation @ np.linalg.solve(total, innovation) <= _gate(space.dimension))
+        return bool(
+            innovation @ np.linalg.solve(total, innovation)
+            <= chi_square_quantile(GATE, space.dimension)
+        )
 
     def updated(self, space: StateSpace, aligned: Refined, doubt: float) -> "Track":
         """After an alignment by the image alone that was accepted; see ``accepts``."""
@@ -88,15 +91,10 @@ class Track:
         """After an alignment with its prior, where that by the image alone was not accepted."""
         innovation = space.difference(aligned.state, self.state)
         distance = innovation @ np.linalg.solve(self.covariance, innovation)
-        if not aligned.converged or float(distance) > _gate(space.dimension):
+        if not aligned.converged or float(distance) > chi_square_quantile(GATE, space.dimension):
             return self.without_image()
         return Track(aligned.state, aligned.covariance, self.rejected + 1)
 
     def without_image(self) -> "Track":
         """After an image that was left out."""
         return replace(self, rejected=self.rejected + 1)
-
-
-def _gate(dimension: int) -> float:
-    """Quantile of the chi-square distribution."""
-    return float(2.0 * scipy.special.gammaincinv(0.5 * dimension, GATE))
