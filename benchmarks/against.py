@@ -30,7 +30,7 @@ from benchmarks.scenes import (
     workshop_reconstruction,
 )
 from benchmarks.timing import Timing, machine, markdown_table, medians
-from pipelines.lightfield.bundle import save_scene
+from pipelines.lightfield.scene_file import save_scene
 
 LAST_WITH_NUMBA = "467e3eb"
 FOLDER = ROOT / "out" / "against"

@@ -10,6 +10,7 @@ is imported, so that older revisions can do it too.
 """
 
 import functools
+import importlib.util
 import json
 import sys
 import time
@@ -20,25 +21,39 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from pipelines.artifacts.progress import no_progress
-from pipelines.dataset.dataset import load_dataset
-from pipelines.dataset.images import decode_image, read_image_bytes
-from pipelines.geometry.camera import Undistorter
-from pipelines.lightfield.blending import Blending
-from pipelines.lightfield.bundle import load_scene
-from pipelines.lightfield.depth import DepthSettings
-from pipelines.lightfield.depth_maps import depth_from_photos
-from pipelines.lightfield.devices import Device
-from pipelines.lightfield.proxy import Quality
-from pipelines.lightfield.renderer import Renderer
-from pipelines.lightfield.scene import Scene
-from pipelines.localize.likelihood import LIKELIHOODS
-from pipelines.localize.measurement_model import MeasurementModel
-from pipelines.localize.observation import Observation, Observer
-from pipelines.localize.refinement import refine
-from pipelines.localize.settings import LocalizerSettings
-from pipelines.localize.state_space import PLANAR
-from pipelines.reconstruct.reconstruction import load_reconstruction, with_images
+# Where these modules were in older revisions.
+BEFORE = {
+    "pipelines.artifacts.stages": "pipelines.artifacts.progress",
+    "pipelines.lightfield.scene_file": "pipelines.lightfield.bundle",
+    "pipelines.lightfield.stereo_depth": "pipelines.lightfield.depth",
+    "pipelines.localize.alignment": "pipelines.localize.refinement",
+    "pipelines.render.blending": "pipelines.lightfield.blending",
+    "pipelines.render.devices": "pipelines.lightfield.devices",
+    "pipelines.render.renderer": "pipelines.lightfield.renderer",
+    "pipelines.render.surface": "pipelines.lightfield.proxy",
+}
+if importlib.util.find_spec("pipelines.render") is None:
+    sys.modules |= {name: importlib.import_module(before) for name, before in BEFORE.items()}
+
+from pipelines.artifacts.stages import no_progress  # noqa: E402
+from pipelines.dataset.dataset import load_dataset  # noqa: E402
+from pipelines.dataset.images import decode_image, read_image_bytes  # noqa: E402
+from pipelines.geometry.camera import Undistorter  # noqa: E402
+from pipelines.lightfield.depth_maps import depth_from_photos  # noqa: E402
+from pipelines.lightfield.scene import Scene  # noqa: E402
+from pipelines.lightfield.scene_file import load_scene  # noqa: E402
+from pipelines.lightfield.stereo_depth import DepthSettings  # noqa: E402
+from pipelines.localize.alignment import refine  # noqa: E402
+from pipelines.localize.likelihood import LIKELIHOODS  # noqa: E402
+from pipelines.localize.measurement_model import MeasurementModel  # noqa: E402
+from pipelines.localize.observation import Observation, Observer  # noqa: E402
+from pipelines.localize.settings import LocalizerSettings  # noqa: E402
+from pipelines.localize.state_space import PLANAR  # noqa: E402
+from pipelines.reconstruct.reconstruction import load_reconstruction, with_images  # noqa: E402
+from pipelines.render.blending import Blending  # noqa: E402
+from pipelines.render.devices import Device  # noqa: E402
+from pipelines.render.renderer import Renderer  # noqa: E402
+from pipelines.render.surface import Quality  # noqa: E402
 
 # The camera image, and where particles stand around it: metres and radians.
 FRAME, SPREAD, PARTICLES = 8, (0.1, 0.1, 0.05), 195

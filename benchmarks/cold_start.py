@@ -13,8 +13,8 @@ from typing import Any
 from benchmarks.processes import process_times
 from benchmarks.scenes import ELEVATORS
 from benchmarks.timing import medians, timing_table
-from pipelines.lightfield.bundle import save_scene
 from pipelines.lightfield.scene import Scene
+from pipelines.lightfield.scene_file import save_scene
 
 TURNS = 5
 MODEL, ONE_IMAGE, RUN = "plane.h5", "one-image", "run.h5"

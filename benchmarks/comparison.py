@@ -23,14 +23,14 @@ from benchmarks.opencv_path import opencv_costs, opencv_work
 from benchmarks.timing import Timing, markdown_table, median_times
 from benchmarks.torch_path import is_installed, torch_costs, torch_work
 from benchmarks.work import Work, every_other, work_of
-from pipelines.artifacts.array_types import FloatArray
-from pipelines.lightfield.blending import Blending
-from pipelines.lightfield.comparison import Cost
-from pipelines.lightfield.reference import render_reference
-from pipelines.lightfield.renderer import Renderer
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.likelihood import ONE_PIXEL_IN
 from pipelines.localize.observation import Observation
+from pipelines.render.blending import Blending
+from pipelines.render.comparison import Cost
+from pipelines.render.reference import render_reference
+from pipelines.render.renderer import Renderer
 
 # Width and height of the virtual images -> particles; fewer where each takes longer.
 PARTICLES = {(40, 30): 195, (80, 60): 195, (160, 120): 64}

@@ -10,12 +10,12 @@ import numpy as np
 
 from benchmarks.scenes import WALL, workshop_reconstruction
 from benchmarks.timing import median_times, timing_table
-from pipelines.artifacts.progress import no_progress
+from pipelines.artifacts.stages import no_progress
 from pipelines.dataset.images import decode_image, read_image_bytes
 from pipelines.geometry.camera import Undistorter
 from pipelines.geometry.plane import plane_from_coefficients
-from pipelines.lightfield.depth import DepthSettings
 from pipelines.lightfield.depth_maps import depth_from_photos
+from pipelines.lightfield.stereo_depth import DepthSettings
 from pipelines.reconstruct.reconstruction import with_images
 
 # One more than a view is compared with: each has as many neighbours as it wants.

@@ -14,21 +14,22 @@ import numpy as np
 
 from benchmarks.scenes import with_wall_as_depth
 from benchmarks.timing import markdown_table, median_times
-from pipelines.artifacts.array_types import FloatArray, ImageArray
+from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.artifacts.errors import LfnavError
 from pipelines.geometry.camera import Intrinsics
-from pipelines.lightfield.blending import Blending, unstructured_weights
-from pipelines.lightfield.comparison import Cost
-from pipelines.lightfield.devices import Device, chosen_gpu
-from pipelines.lightfield.proxy import Quality, plane_inverse_depth
-from pipelines.lightfield.reference import view_mappings
-from pipelines.lightfield.renderer import Renderer
+from pipelines.geometry.plane import plane_inverse_depth
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.views import views_of_scene
+from pipelines.render.blending import Blending, unstructured_weights
+from pipelines.render.comparison import Cost
+from pipelines.render.devices import Device, chosen_gpu
+from pipelines.render.reference import view_mappings
+from pipelines.render.renderer import Renderer
+from pipelines.render.surface import Quality
 
 if TYPE_CHECKING:
-    from pipelines.lightfield.gpu_device import Gpu
-    from pipelines.lightfield.gpu_renderer import GpuRenderer
+    from pipelines.render.gpu_device import Gpu
+    from pipelines.render.gpu_renderer import GpuRenderer
 
 WIDTH, HEIGHT = 40, 30
 FRAME, MANY = 195, 100_000
@@ -105,7 +106,7 @@ def work_of(scene: Scene, count: int) -> Work:
 
 def card_renderer(work: Work, gpu: "Gpu", way: Way = USUAL) -> "GpuRenderer":
     """What localization makes of the scene, on the card."""
-    from pipelines.lightfield.gpu_renderer import GpuRenderer
+    from pipelines.render.gpu_renderer import GpuRenderer
 
     views = views_of_scene(work.scene, 4 * WIDTH)
     return GpuRenderer(views, work.scene.plane, *way, gpu=gpu)
@@ -137,7 +138,7 @@ def reads_per_particle(renderer: Renderer, work: Work) -> float:
 
 def texture_rate(gpu: "Gpu", groups: int) -> float:
     """Texels a second that the card reads when it does nothing else; ``groups``^2 workgroups."""
-    from pipelines.lightfield.gpu_device import (
+    from pipelines.render.gpu_device import (
         Program,
         Scratch,
         bind,

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.work import Work, homographies, net_weights
-from pipelines.artifacts.array_types import Float32Array, ImageArray, Int32Array
+from pipelines.artifacts.arrays import Float32Array, ImageArray, Int32Array
 
 SAMPLES_PER_PIXEL, CHANNELS = 3, 4
 SOURCE = Path(__file__).with_suffix(".cpp")

@@ -22,15 +22,15 @@ from benchmarks.scenes import (
 )
 from benchmarks.scoring import WIDTHS, model_of, observations, states_around
 from benchmarks.timing import markdown_table
-from pipelines.artifacts.progress import no_progress
-from pipelines.lightfield.bundle import load_scene, save_scene
-from pipelines.lightfield.proxy import Quality
-from pipelines.lightfield.renderer import Renderer
+from pipelines.artifacts.stages import no_progress
 from pipelines.lightfield.scene import Scene
+from pipelines.lightfield.scene_file import load_scene, save_scene
 from pipelines.lightfield.size_budget import LOCALIZE_SIDE
 from pipelines.lightfield.stage import ModelSettings, build_scene
 from pipelines.lightfield.views import views_of_scene
 from pipelines.reconstruct.reconstruction import load_reconstruction, with_images
+from pipelines.render.renderer import Renderer
+from pipelines.render.surface import Quality
 
 RECONSTRUCTION, MANY, DEEP, LOBBY = "reconstruction", "many.h5", "deep.h5", "lobby.h5"
 MANY_VIEWS = 100

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from benchmarks.work import Work, homographies, net_weights
-from pipelines.artifacts.array_types import Float32Array, FloatArray
+from pipelines.artifacts.arrays import Float32Array, FloatArray
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ from typing import Any
 
 from benchmarks.scenes import repeated
 from benchmarks.timing import median_times, timing_table
-from pipelines.lightfield.bundle import load_scene, save_scene
 from pipelines.lightfield.scene import Scene
+from pipelines.lightfield.scene_file import load_scene, save_scene
 from pipelines.lightfield.size_budget import LOCALIZE_SIDE
 from pipelines.lightfield.views import views_of_scene
 

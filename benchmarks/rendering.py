@@ -5,10 +5,10 @@ from typing import Any
 
 from benchmarks.scenes import with_wall_as_depth
 from benchmarks.timing import median_times, timing_table
-from pipelines.lightfield.proxy import Quality
-from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.views import views_of_scene
+from pipelines.render.renderer import Renderer
+from pipelines.render.surface import Quality
 
 WIDTH, HEIGHT = 640, 480
 TURNS = 7

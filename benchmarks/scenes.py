@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pipelines.artifacts.progress import no_progress
-from pipelines.lightfield.bundle import as_stored, identifier_of
-from pipelines.lightfield.proxy import plane_inverse_depth
+from pipelines.artifacts.stages import no_progress
+from pipelines.geometry.plane import plane_inverse_depth
 from pipelines.lightfield.scene import Scene, SceneDepth
+from pipelines.lightfield.scene_file import as_stored, identifier_of
 from pipelines.lightfield.stage import ModelSettings, build_scene
 from pipelines.reconstruct.reconstruction import Reconstruction, load_reconstruction
 from pipelines.reconstruct.stage import ReconstructSettings, reconstruct

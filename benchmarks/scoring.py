@@ -13,16 +13,17 @@ import numpy as np
 
 from benchmarks.scenes import ELEVATORS, repeated, with_wall_as_depth
 from benchmarks.timing import Timing, markdown_table, median_times
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.arrays import FloatArray
+from pipelines.artifacts.processes import processor_count
 from pipelines.dataset.dataset import load_dataset
-from pipelines.lightfield.devices import Device, processor_count
-from pipelines.lightfield.proxy import Quality
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.likelihood import LIKELIHOODS, ONE_PIXEL_IN
 from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.observation import Observation, Observer
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import PLANAR
+from pipelines.render.devices import Device
+from pipelines.render.surface import Quality
 
 FRAME = 8
 # Particles stand so far apart, standard deviations in metres and radians.

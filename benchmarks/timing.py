@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from pipelines.lightfield.devices import processor_count
+from pipelines.artifacts.processes import processor_count
 
 
 @dataclass(frozen=True)

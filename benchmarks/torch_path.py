@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.work import Work, homographies, net_weights
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.arrays import FloatArray
 
 PACKAGE = "torch"
 

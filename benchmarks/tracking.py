@@ -15,10 +15,10 @@ import numpy as np
 from benchmarks.scenes import ELEVATORS
 from benchmarks.timing import Timing, markdown_table, medians
 from pipelines.dataset.dataset import ODOMETRY_FILE, Dataset, load_dataset, poses_at_images
-from pipelines.lightfield.devices import Device
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.localizer import Localizer
 from pipelines.localize.settings import LocalizerSettings
+from pipelines.render.devices import Device
 
 DRIVES = 3
 SETTINGS = {

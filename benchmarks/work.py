@@ -11,14 +11,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.scenes import part_of
-from pipelines.artifacts.array_types import Float32Array, FloatArray, ImageArray
+from pipelines.artifacts.arrays import Float32Array, FloatArray, ImageArray
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.pose import BASE_FROM_FORWARD_CAMERA, inverse, pose_from_rotation
-from pipelines.lightfield.blending import Blending
-from pipelines.lightfield.net import pixel_weights
-from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.views import Views
+from pipelines.render.blending import Blending
+from pipelines.render.delaunay_mesh import pixel_weights
+from pipelines.render.renderer import Renderer
 
 # Three photos whose centres span a triangle across the line of sight.
 CORNERS = (5, 12, 18)

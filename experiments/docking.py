@@ -25,15 +25,15 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.atomic import write_text
 from pipelines.dock.dock import Report
-from pipelines.dock.robots.actuation import MotionNoise
 from pipelines.dock.robots.choice import RobotOptions
+from pipelines.dock.robots.noise import MotionNoise
 from pipelines.dock.robots.simulator import PathTracing
 from pipelines.dock.settings import DockSettings
 from pipelines.dock.stage import DockSummary, Goal, dock_robot
-from pipelines.lightfield.bundle import load_scene
+from pipelines.lightfield.scene_file import load_scene
 from pipelines.localize.settings import LocalizerSettings
 
 HALF_FIELD_OF_VIEW = math.radians(29.0)

@@ -16,12 +16,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray, ImageArray
+from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.dataset.images import encode_png
-from pipelines.dock.geometry import moved, movement_between
+from pipelines.dock.planar_motion import moved, movement_between
 from pipelines.dock.robot import Movement
-from pipelines.dock.robots.actuation import MotionNoise, SimulatedMotion
-from pipelines.dock.robots.sensor import SensorNoise
+from pipelines.dock.robots.noise import MotionNoise, SensorNoise, SimulatedMotion
 from pipelines.dock.robots.simulator import PathTracing, SimulatorRobot
 from pipelines.geometry.camera import Camera
 from pipelines.geometry.pose import base_from_camera_mount, world_from_base_planar

@@ -16,7 +16,7 @@ import numpy as np
 from pipelines.artifacts.errors import LfnavError
 from pipelines.dataset.dataset import load_dataset
 from pipelines.experiments.pixel_choices import errors_of_choices
-from pipelines.lightfield.bundle import load_scene
+from pipelines.lightfield.scene_file import load_scene
 
 
 def main(arguments: Sequence[str]) -> int:

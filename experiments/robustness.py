@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from pipelines.artifacts.errors import LfnavError
-from pipelines.artifacts.progress import no_progress
-from pipelines.experiments.disturbed_drives import write_disturbed_drives
+from pipelines.artifacts.stages import no_progress
+from pipelines.experiments.disturbed_sequences import write_disturbed_drives
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from pipelines.artifacts.errors import LfnavError, OptionError
-from pipelines.artifacts.progress import no_progress
-from pipelines.experiments.troubles import write_troubles
+from pipelines.artifacts.stages import no_progress
+from pipelines.experiments.null_images import write_troubles
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from pipelines.artifacts.errors import LfnavError, OptionError
-from pipelines.artifacts.progress import no_progress
+from pipelines.artifacts.stages import no_progress
 from pipelines.experiments.trust_stage import TABLE, study_trust
 
 

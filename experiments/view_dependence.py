@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from pipelines.artifacts.errors import LfnavError
-from pipelines.artifacts.progress import no_progress
+from pipelines.artifacts.stages import no_progress
 from pipelines.experiments.view_dependence_stage import TABLE, study_view_dependence
 
 

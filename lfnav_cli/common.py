@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 if TYPE_CHECKING:
-    from pipelines.artifacts.progress import Progress
-    from pipelines.artifacts.summary import Summary
+    from pipelines.artifacts.stages import Progress, Summary
 
 T = TypeVar("T")
 Decorated = TypeVar("Decorated", bound=Callable[..., Any])

@@ -16,7 +16,7 @@ from lfnav_cli.common import (
 )
 
 if TYPE_CHECKING:
-    from pipelines.artifacts.progress import Progress
+    from pipelines.artifacts.stages import Progress
     from pipelines.dock.dock import Report
 
 parse_pose = parse_numbers(3, "X,Y,DEG")
@@ -269,9 +269,8 @@ def command(
       lfnav dock scene.h5 --robot my_robot:Robot --goal -1.15,-1.65,90 -o dock.h5
       lfnav dock scene.h5 --robot sim:sample_data/elevators/scene/scene.xml --goal-view 3 -o dock.h5
     """
-    from pipelines.dock.robots.actuation import MotionNoise
     from pipelines.dock.robots.choice import RobotOptions
-    from pipelines.dock.robots.sensor import SensorNoise
+    from pipelines.dock.robots.noise import MotionNoise, SensorNoise
     from pipelines.dock.robots.simulator import PathTracing
 
     options = RobotOptions(
@@ -295,8 +294,8 @@ def command(
 
     from pipelines.dock.settings import DockSettings
     from pipelines.dock.stage import Goal, dock_robot, dry_run
-    from pipelines.lightfield.devices import Device
     from pipelines.localize.settings import LocalizerSettings
+    from pipelines.render.devices import Device
 
     settings = DockSettings(
         drive=drive,

@@ -8,8 +8,7 @@ import click
 from lfnav_cli.common import common_options, json_option, print_summary
 
 if TYPE_CHECKING:
-    from pipelines.artifacts.progress import Progress
-    from pipelines.artifacts.summary import Summary
+    from pipelines.artifacts.stages import Progress, Summary
 
 
 @click.command("evaluate")
@@ -121,8 +120,8 @@ def _evaluate_scene(
     *,
     interior: bool,
 ) -> "Summary":
-    from pipelines.lightfield.blending import Blending
-    from pipelines.lightfield.evaluation import evaluate_scene
+    from pipelines.render.blending import Blending
+    from pipelines.render.evaluation import evaluate_scene
 
     rule = Blending[blending.upper()]
     return evaluate_scene(scene, dataset, poses, quality, rule, progress, interior=interior)

@@ -18,7 +18,7 @@ from lfnav_cli.common import (
 )
 
 if TYPE_CHECKING:
-    from pipelines.artifacts.progress import Progress
+    from pipelines.artifacts.stages import Progress
 
 parse_planar_start = parse_numbers(3, "X,Y,DEG")
 parse_spatial_start = parse_numbers(6, "uniform, X,Y,DEG or X,Y,Z,RX,RY,RZ")
@@ -208,11 +208,11 @@ def command(
       lfnav localize --print-config --particles 500 > settings.toml
       lfnav localize scene.h5 drive/ -o run.h5 --config settings.toml
     """
-    from pipelines.lightfield.blending import Blending
-    from pipelines.lightfield.comparison import Cost
-    from pipelines.lightfield.devices import Device
     from pipelines.localize.config import effective_settings, settings_text
     from pipelines.localize.stage import localize
+    from pipelines.render.blending import Blending
+    from pipelines.render.comparison import Cost
+    from pipelines.render.devices import Device
 
     options: dict[str, Any] = {
         "method": method,

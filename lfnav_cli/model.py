@@ -14,7 +14,7 @@ from lfnav_cli.common import (
 )
 
 if TYPE_CHECKING:
-    from pipelines.artifacts.progress import Progress
+    from pipelines.artifacts.stages import Progress
 
 
 @click.command("model")

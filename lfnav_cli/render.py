@@ -18,7 +18,7 @@ from lfnav_cli.common import (
 )
 
 if TYPE_CHECKING:
-    from pipelines.artifacts.progress import Progress
+    from pipelines.artifacts.stages import Progress
 
 
 @click.command("render")
@@ -72,9 +72,9 @@ def command(
     """
     if (pose is None) == (poses is None):
         raise click.UsageError("give either --pose or --poses")
-    from pipelines.lightfield.blending import Blending
-    from pipelines.lightfield.devices import Device
-    from pipelines.lightfield.virtual_views import RenderSettings, render
+    from pipelines.render.blending import Blending
+    from pipelines.render.devices import Device
+    from pipelines.render.stage import RenderSettings, render
 
     settings = RenderSettings(
         pose=None if pose is None else (pose[0], pose[1], math.radians(pose[2])),

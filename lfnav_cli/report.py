@@ -8,7 +8,7 @@ import click
 from lfnav_cli.common import common_options, json_option, overwrite_option, print_summary
 
 if TYPE_CHECKING:
-    from pipelines.artifacts.progress import Progress
+    from pipelines.artifacts.stages import Progress
 
 
 def parse_frames(

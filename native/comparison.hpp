@@ -1,5 +1,5 @@
 // How different a rendered view is from a camera image: the costs of
-// pipelines/lightfield/comparison.py, which says what they are and what their constants mean.
+// pipelines/render/comparison.py, which says what they are and what their constants mean.
 
 #pragma once
 

@@ -1,5 +1,5 @@
 // Depth maps of neighbouring views brought to agree (Merrell and others 2007), as
-// pipelines/lightfield/depth_fusion.py explains it.
+// pipelines/lightfield/depth_filtering.py explains it.
 
 #pragma once
 

@@ -44,7 +44,7 @@ struct Photos {
 };
 
 /// The usable photos, and the groups that neighbours form; see ViewIndex in
-/// pipelines/lightfield/view_index.py.
+/// pipelines/render/candidate_views.py.
 struct PhotoIndex {
     static constexpr std::size_t GROUP_PHOTOS = 16, PHOTO_NUMBERS = 18, GROUP_NUMBERS = 20;
 

@@ -1,5 +1,5 @@
 // How well photos agree that a pixel shows a surface at each of many depths: a plane sweep
-// (Collins 1996), as pipelines/lightfield/depth.py explains it.
+// (Collins 1996), as pipelines/lightfield/stereo_depth.py explains it.
 
 #pragma once
 

@@ -1,5 +1,5 @@
 // The photos that show surface points best: the ranking of unstructured-lumigraph rendering
-// (Buehler and others 2001), as pipelines/lightfield/blending.py explains it.
+// (Buehler and others 2001), as pipelines/render/blending.py explains it.
 
 #pragma once
 

@@ -1,6 +1,6 @@
 // Virtual views of a light field, over a plane or depth maps, blended by tiles or by the Delaunay
 // mesh, and what they cost against a camera image. The readable version is
-// pipelines/lightfield/reference.py.
+// pipelines/render/reference.py.
 
 #pragma once
 

@@ -37,7 +37,7 @@ struct DepthGridSettings {
     double largest_gap_share;
 };
 
-/// Kinds of comparison, see pipelines/lightfield/comparison.py.
+/// Kinds of comparison, see pipelines/render/comparison.py.
 enum class Cost { SQUARED, ROBUST, ZNCC, GRADIENT, EVIDENCE };
 
 struct CostSettings {

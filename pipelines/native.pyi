@@ -10,7 +10,7 @@ is something to compare, 0 where not.
 
 from collections.abc import Sequence
 
-from pipelines.artifacts.array_types import (
+from pipelines.artifacts.arrays import (
     BoolArray,
     Float32Array,
     FloatArray,
@@ -149,7 +149,7 @@ def delaunay_meshes(
     takes_part: BoolArray,
     limits: FloatArray,
 ) -> tuple[Int32Array, Float32Array, Int32Array, int]:
-    """Delaunay meshes of recording centres in virtual images; see ``net``.
+    """Delaunay meshes of recording centres in virtual images; see ``delaunay_mesh``.
 
     Args:
         poses: (B, 4, 4) world_from_camera.
@@ -307,7 +307,7 @@ class LightField:
         groups: (20 G,).
         plane: (4,) unit normal and offset.
         depth_settings: (5,) pinhole factor, pinhole neighbours, edge factor, largest gap as a share
-            of the image, see ``proxy``; occlusion factor.
+            of the image, see ``surface``; occlusion factor.
         penalties: (4,) of resolution and border, the smallest margin, the smallest penalty.
         most_ranked: more photos than these are narrowed down before they are ranked.
         smallest_weight: below this sum of weights a pixel is not shown.

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import settings
 
 if TYPE_CHECKING:
-    from pipelines.lightfield.gpu_device import Gpu
+    from pipelines.render.gpu_device import Gpu
 
 # No test asserts a time: on a busy machine any example may take long.
 settings.register_profile("lfnav", deadline=None)
@@ -17,7 +17,7 @@ settings.load_profile("lfnav")
 def gpu() -> "Gpu":
     """The best graphics card; Mesa's software adapter will do."""
     pytest.importorskip("wgpu", reason='no wgpu: pip install "lfnav[gpu]"')
-    from pipelines.lightfield.gpu_device import open_gpu
+    from pipelines.render.gpu_device import open_gpu
 
     card = open_gpu(accept_software=True)
     if card is None:

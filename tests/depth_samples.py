@@ -5,7 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray, ImageArray
+from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.dataset.images import encode_png
 from pipelines.geometry.trajectory import Trajectory, format_tum
 from tests.lightfield_samples import looking, pinhole, pinhole_rays, pixels_of, waves

@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray, ImageArray
+from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.dataset.images import encode_png
 from pipelines.dock.dock import Report, dock, equipment_of
-from pipelines.dock.logbook import Docking, Origin, run_of
+from pipelines.dock.docking_log import Docking, Origin, run_of
 from pipelines.dock.robot import CheckedRobot, Movement
-from pipelines.dock.robots.actuation import MotionNoise, SimulatedMotion
+from pipelines.dock.robots.noise import MotionNoise, SimulatedMotion
 from pipelines.dock.settings import DockSettings
 from pipelines.geometry.camera import Camera
 from pipelines.geometry.pose import world_from_base_planar
-from pipelines.lightfield.bundle import identifier_of, save_scene
 from pipelines.lightfield.scene import Scene
+from pipelines.lightfield.scene_file import identifier_of, save_scene
 from pipelines.localize.run import Run, save_run
 from pipelines.localize.settings import LocalizerSettings
 from tests.report_samples import CAMERA, MOUNT, Files, facing_wall

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray, ImageArray
+from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.dataset.images import encode_png
 from pipelines.geometry.pose import inverse, planar_state_of, world_from_base_planar, wrap_angle
-from pipelines.lightfield.bundle import identifier_of
 from pipelines.lightfield.scene import Scene
+from pipelines.lightfield.scene_file import identifier_of
 from pipelines.localize.likelihood import likelihood_named
 from pipelines.localize.localizer import Localizer
 from pipelines.localize.run import FrameRecord

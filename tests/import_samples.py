@@ -10,7 +10,7 @@ import pytest
 
 from lfnav_cli import common
 from lfnav_cli.main import main
-from pipelines.artifacts.array_types import FloatArray, ImageArray
+from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.dataset.images import encode_png
 from pipelines.geometry.camera import Camera
 

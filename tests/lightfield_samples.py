@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pipelines.artifacts.array_types import BoolArray, FloatArray, ImageArray
+from pipelines.artifacts.arrays import BoolArray, FloatArray, ImageArray
 from pipelines.geometry.camera import Camera, Intrinsics
 from pipelines.geometry.plane import Plane, plane_from_coefficients
 from pipelines.geometry.pose import pose_from_rotation

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.geometry.camera import Camera
 from pipelines.geometry.pose import base_from_camera_mount
 from pipelines.localize.belief import Belief, gaussian_belief, normalise_log_weights

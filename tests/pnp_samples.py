@@ -4,12 +4,12 @@ from pathlib import Path
 
 import numpy as np
 
-from pipelines.artifacts.array_types import BoolArray
-from pipelines.artifacts.progress import no_progress
+from pipelines.artifacts.arrays import BoolArray
+from pipelines.artifacts.stages import no_progress
 from pipelines.dataset.dataset import PAIRING_TOLERANCE, Dataset, load_dataset
 from pipelines.geometry.plane import Plane
-from pipelines.lightfield.bundle import identifier_of
 from pipelines.lightfield.scene import PlaneEstimate, Scene
+from pipelines.lightfield.scene_file import identifier_of
 from pipelines.localize.pnp import PnpLocalizer
 from pipelines.localize.state_space import PLANAR, StateSpace
 

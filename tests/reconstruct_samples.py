@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pipelines.artifacts.array_types import FloatArray, ImageArray
+from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.geometry.camera import Camera
 from pipelines.geometry.pose import pose_from_rotation
 from pipelines.reconstruct.reconstruction import Reconstruction

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray, ImageArray
+from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.dataset.images import encode_png
 from pipelines.geometry.camera import Camera, Intrinsics
 from pipelines.geometry.plane import Plane
 from pipelines.geometry.pose import base_from_camera_mount, world_from_base_planar
-from pipelines.lightfield.bundle import identifier_of, save_scene
 from pipelines.lightfield.scene import PlaneEstimate, Scene
+from pipelines.lightfield.scene_file import identifier_of, save_scene
 from pipelines.localize.belief import normalise_log_weights
 from pipelines.localize.run import FrameRecord, Run, save_run
 from pipelines.localize.state_space import SPATIAL

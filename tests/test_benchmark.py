@@ -31,13 +31,13 @@ from benchmarks.torch_path import is_installed, torch_costs, torch_work
 from benchmarks.work import Work, every_other, net_weights, work_of
 from pipelines.dataset.dataset import load_dataset
 from pipelines.geometry.plane import plane_from_coefficients
-from pipelines.lightfield.blending import Blending
-from pipelines.lightfield.bundle import load_scene, save_scene
-from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.scene import Scene
+from pipelines.lightfield.scene_file import load_scene, save_scene
+from pipelines.render.blending import Blending
+from pipelines.render.renderer import Renderer
 
 if TYPE_CHECKING:
-    from pipelines.lightfield.gpu_device import Gpu
+    from pipelines.render.gpu_device import Gpu
 
 
 @pytest.fixture(scope="module")

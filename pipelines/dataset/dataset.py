@@ -16,7 +16,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray, ImageArray
+from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.artifacts.errors import InputError
 from pipelines.artifacts.file_content import is_file
 from pipelines.dataset.camera_file import CameraFile, read_camera_file

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
-from pipelines.artifacts.array_types import ImageArray
+from pipelines.artifacts.arrays import ImageArray
 from pipelines.artifacts.errors import InputError
 
 MAX_PIXELS = 100_000_000

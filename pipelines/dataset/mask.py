@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipelines.artifacts.array_types import BoolArray, ImageArray
+from pipelines.artifacts.arrays import BoolArray, ImageArray
 from pipelines.artifacts.errors import InputError
 from pipelines.artifacts.provenance import sha256_of_bytes
 from pipelines.dataset.images import decode_grey, encode_png, image_header, read_image_bytes

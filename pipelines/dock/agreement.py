@@ -16,11 +16,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
-from pipelines.dock.alignment import Candidate
-from pipelines.dock.fix import Fix
-from pipelines.dock.geometry import distance_between, turn_between
-from pipelines.dock.rivals import Choice
+from pipelines.artifacts.arrays import FloatArray
+from pipelines.dock.competing_poses import Choice
+from pipelines.dock.fine_alignment import Candidate
+from pipelines.dock.planar_motion import distance_between, turn_between
+from pipelines.dock.pose_estimate import Fix
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import PLANAR
 

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.geometry.camera import Undistorter
 from pipelines.geometry.plane import Plane
+from pipelines.lightfield.obstacle_points import standing_points
 from pipelines.lightfield.scene import Scene
-from pipelines.lightfield.standing_points import standing_points
 
 # A plane whose normal rises less than this is a wall.
 LARGEST_TILT = 0.3

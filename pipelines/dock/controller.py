@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
-from pipelines.dock.geometry import distance_between, movement_between, turn_between
+from pipelines.artifacts.arrays import FloatArray
+from pipelines.dock.planar_motion import distance_between, movement_between, turn_between
 from pipelines.dock.robot import STANDSTILL, Movement
 from pipelines.dock.settings import DockSettings
 

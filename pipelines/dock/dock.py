@@ -9,34 +9,34 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipelines.artifacts.array_types import BoolArray, FloatArray, ImageArray
+from pipelines.artifacts.arrays import BoolArray, FloatArray, ImageArray
 from pipelines.artifacts.errors import LfnavError, OptionError
 from pipelines.dock.agreement import aligned_fix, confirmed, map_covariance
-from pipelines.dock.alignment import FineAlignment
-from pipelines.dock.blockage import Moment, moment_of, stood_still
 from pipelines.dock.clearance import Clearance
-from pipelines.dock.contradiction import Doubt, contradicts
+from pipelines.dock.competing_poses import Rivals
+from pipelines.dock.consistency_gate import Doubt, contradicts
+from pipelines.dock.covered_view import LOOKS
+from pipelines.dock.docking_log import Docking, Entry
 from pipelines.dock.exploration import Explorer
-from pipelines.dock.fix import Fix, fix_of
-from pipelines.dock.geometry import distance_between, position_sigma
-from pipelines.dock.logbook import Docking, Entry
+from pipelines.dock.fine_alignment import FineAlignment
 from pipelines.dock.outcomes import Ending, Outcome
-from pipelines.dock.outlook import Lookout
-from pipelines.dock.patience import LOOKS
-from pipelines.dock.pilot import Memory, Phase, Pilot
-from pipelines.dock.rivals import Rivals
+from pipelines.dock.planar_motion import distance_between, position_sigma
+from pipelines.dock.pose_estimate import Fix, fix_of
 from pipelines.dock.robot import STANDSTILL, CheckedRobot, Movement, RobotError
 from pipelines.dock.safety import Safety
 from pipelines.dock.settings import DockSettings
 from pipelines.dock.smoothing import Smoother
+from pipelines.dock.stall_detection import Moment, moment_of, stood_still
+from pipelines.dock.state_machine import Memory, Phase, Pilot
+from pipelines.dock.visibility import Lookout
 from pipelines.geometry.camera import Undistorter
-from pipelines.lightfield.proxy import Quality, quality_named
-from pipelines.lightfield.renderer_choice import renderer_of_scene
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.localizer import Localizer
 from pipelines.localize.measurement_model import VIEW_RESOLUTION_FACTOR, MeasurementModel
 from pipelines.localize.run import BY_ODOMETRY, FrameRecord
 from pipelines.localize.settings import LocalizerSettings
+from pipelines.render.renderer_choice import renderer_of_scene
+from pipelines.render.surface import Quality, quality_named
 
 
 @dataclass(frozen=True)

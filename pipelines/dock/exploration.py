@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
-from pipelines.dock.geometry import moved
+from pipelines.artifacts.arrays import FloatArray
+from pipelines.dock.planar_motion import moved
 from pipelines.dock.robot import STANDSTILL, Movement
 from pipelines.dock.safety import Safety
 from pipelines.geometry.camera import Intrinsics
-from pipelines.lightfield.renderer import Renderer
 from pipelines.localize.state_space import PLANAR
+from pipelines.render.renderer import Renderer
 
 # Directions round the robot that are looked at one after the other.
 DIRECTIONS = 12

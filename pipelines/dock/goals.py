@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pipelines.artifacts.array_types import BoolArray, FloatArray
+from pipelines.artifacts.arrays import BoolArray, FloatArray
 from pipelines.artifacts.errors import InputError, OptionError
 from pipelines.dataset.images import decode_image, read_image_bytes
-from pipelines.dock.alignment import FineAlignment
-from pipelines.dock.fix import fix_of
+from pipelines.dock.fine_alignment import FineAlignment
+from pipelines.dock.pose_estimate import fix_of
 from pipelines.geometry.camera import Camera
 from pipelines.geometry.pose import inverse, planar_state_of
 from pipelines.lightfield.scene import Scene

@@ -12,7 +12,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray, ImageArray
+from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.artifacts.errors import LfnavError
 from pipelines.geometry.camera import Camera
 

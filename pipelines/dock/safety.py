@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import OptionError
 from pipelines.dock.clearance import Clearance
-from pipelines.dock.geometry import moved, position_sigma
+from pipelines.dock.planar_motion import moved, position_sigma
 from pipelines.dock.robot import STANDSTILL, Movement
 
 # What is not known of the position counts so many standard deviations.

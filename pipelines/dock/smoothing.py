@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
-from pipelines.dock.fix import Fix
-from pipelines.dock.geometry import movement_between
+from pipelines.artifacts.arrays import FloatArray
+from pipelines.dock.planar_motion import movement_between
+from pipelines.dock.pose_estimate import Fix
 from pipelines.dock.robot import Movement
-from pipelines.localize.adaptation import OdometryCalibration, uncalibrated
+from pipelines.localize.odometry_calibration import OdometryCalibration, uncalibrated
 from pipelines.localize.state_space import PLANAR
 
 # What calibrated odometry errs by: metres, of the distance, radians, a metre, of the turn.

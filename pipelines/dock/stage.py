@@ -7,24 +7,24 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.artifacts.array_types import BoolArray, FloatArray
+from pipelines.artifacts.arrays import BoolArray, FloatArray
 from pipelines.artifacts.atomic import check_output
 from pipelines.artifacts.errors import OptionError
 from pipelines.artifacts.provenance import provenance
 from pipelines.dataset.mask import Mask, read_mask
 from pipelines.dock.dock import Listener, dock, equipment_of
-from pipelines.dock.geometry import distance_between, turn_between
+from pipelines.dock.docking_log import Docking, Origin, run_of
 from pipelines.dock.goals import goal_of_image, goal_of_view
-from pipelines.dock.logbook import Docking, Origin, run_of
 from pipelines.dock.outcomes import Ending
+from pipelines.dock.planar_motion import distance_between, turn_between
 from pipelines.dock.robot import STANDSTILL, CheckedRobot
 from pipelines.dock.robots.choice import RobotOptions, robot_named
 from pipelines.dock.settings import DockSettings
-from pipelines.lightfield.bundle import load_scene
-from pipelines.lightfield.devices import resolved_device
 from pipelines.lightfield.scene import Scene
+from pipelines.lightfield.scene_file import load_scene
 from pipelines.localize.run import relative_scene_path, save_run
 from pipelines.localize.settings import LocalizerSettings
+from pipelines.render.devices import resolved_device
 
 
 @dataclass(frozen=True)

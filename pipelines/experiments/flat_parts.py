@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import InputError
 from pipelines.geometry.camera import Intrinsics
 

@@ -11,16 +11,16 @@ from types import MappingProxyType
 
 import numpy as np
 
-from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray
+from pipelines.artifacts.arrays import BoolArray, Float32Array, FloatArray
 from pipelines.artifacts.errors import InputError
 from pipelines.dataset.dataset import CAMERA_FILE, GROUNDTRUTH_FILE, Dataset
-from pipelines.lightfield.comparison import NO_TABLE, compare, prepared
-from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.likelihood import LIKELIHOODS
 from pipelines.localize.measurement_model import VIEW_RESOLUTION_FACTOR
 from pipelines.localize.observation import Observer, lattice
 from pipelines.localize.state_space import PLANAR
+from pipelines.render.comparison import NO_TABLE, compare, prepared
+from pipelines.render.renderer import Renderer
 
 WIDTH = 40
 # Metres and radians; standard deviations of the states around the truth.

@@ -9,7 +9,8 @@ from typing import Any
 from pipelines.artifacts.atomic import check_output, write_text
 from pipelines.artifacts.errors import OptionError
 from pipelines.artifacts.file_content import read_text_file
-from pipelines.artifacts.progress import Progress
+from pipelines.artifacts.processes import processor_count
+from pipelines.artifacts.stages import Progress
 from pipelines.artifacts.toml_file import MAX_TOML_BYTES
 from pipelines.experiments.sweep_config import read_sweep_config
 from pipelines.experiments.sweep_inputs import program_hash
@@ -27,7 +28,6 @@ from pipelines.experiments.sweep_tables import (
     rows_for_people,
 )
 from pipelines.experiments.sweep_workers import run_locally
-from pipelines.lightfield.devices import processor_count
 
 # The config of the last sweep into a folder; also tells that the folder is a sweep's.
 CONFIG_COPY = "sweep.toml"

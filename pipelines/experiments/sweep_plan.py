@@ -7,17 +7,17 @@ from itertools import product
 from pathlib import Path
 
 from pipelines.artifacts.errors import InputError
-from pipelines.artifacts.progress import Progress
 from pipelines.artifacts.provenance import sha256_of_bytes, version_of
+from pipelines.artifacts.stages import Progress
 from pipelines.dataset.dataset import GROUNDTRUTH_FILE, ODOMETRY_FILE, Dataset, load_dataset
 from pipelines.experiments.sweep_config import SweepConfig, SweepDataset
 from pipelines.experiments.sweep_inputs import dataset_hash, odometry_hash, scene_hash
 from pipelines.experiments.sweep_run import Setup, SweepRun
-from pipelines.lightfield.bundle import load_scene
-from pipelines.lightfield.devices import resolved_device
+from pipelines.lightfield.scene_file import load_scene
 from pipelines.localize.likelihood import LIKELIHOODS, Likelihood
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.stage import NO_ODOMETRY, check_odometry
+from pipelines.render.devices import resolved_device
 
 # Raise it when results that were kept are no longer what would be computed now.
 RESULTS_VERSION = 4

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.artifacts.array_types import BoolArray, FloatArray
+from pipelines.artifacts.arrays import BoolArray, FloatArray
 from pipelines.artifacts.errors import InputError
 from pipelines.artifacts.json_fields import JsonFields
 from pipelines.localize.calibration import BINS
 from pipelines.localize.evaluation import RunEvaluation, evaluate_run
 from pipelines.localize.run import BY_ODOMETRY, Run
-from pipelines.localize.state_errors import known_states
+from pipelines.localize.state_space import known_states
 from pipelines.localize.trust import trust_of
 
 # A drive has settled from this frame on, counted from 0.

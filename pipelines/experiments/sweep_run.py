@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pipelines.artifacts.errors import LfnavError
-from pipelines.artifacts.progress import no_progress
+from pipelines.artifacts.stages import no_progress
 from pipelines.dataset.dataset import ODOMETRY_FILE, Dataset, load_dataset
 from pipelines.experiments.sweep_inputs import (
     check_unchanged,
@@ -15,8 +15,8 @@ from pipelines.experiments.sweep_inputs import (
     scene_hash,
 )
 from pipelines.experiments.sweep_result import RunResult, judged
-from pipelines.lightfield.bundle import load_scene
 from pipelines.lightfield.scene import Scene
+from pipelines.lightfield.scene_file import load_scene
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.stage import localize_dataset
 

@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pipelines.artifacts.array_types import BoolArray, FloatArray
+from pipelines.artifacts.arrays import BoolArray, FloatArray
 from pipelines.geometry.camera import Intrinsics
-from pipelines.lightfield.blending import occluded
-from pipelines.lightfield.net import sees
-from pipelines.lightfield.reference import sample_view, view_mappings
+from pipelines.lightfield.view_penalties import sees
 from pipelines.lightfield.views import Views
+from pipelines.render.blending import occluded
+from pipelines.render.reference import sample_view, view_mappings
 
 
 class TextureColours(NamedTuple):

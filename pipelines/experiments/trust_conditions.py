@@ -46,7 +46,6 @@ from pipelines.experiments.config_tables import (
     read_seeds,
     refuse_twice,
 )
-from pipelines.lightfield.channels import Channels
 from pipelines.localize.config import (
     Choices,
     check_choices,
@@ -57,6 +56,7 @@ from pipelines.localize.config import (
 from pipelines.localize.config_keys import SECTIONS
 from pipelines.localize.settings import METHODS, LocalizerSettings
 from pipelines.localize.stage import NO_ODOMETRY
+from pipelines.render.channels import Channels
 
 STUDY_KEYS = ("seeds", "channels")
 CONDITION_KEYS = (

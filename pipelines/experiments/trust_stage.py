@@ -5,7 +5,7 @@ from pathlib import Path
 
 from pipelines.artifacts.atomic import atomic_folder, check_output
 from pipelines.artifacts.errors import InputError
-from pipelines.artifacts.progress import Progress
+from pipelines.artifacts.stages import Progress
 from pipelines.experiments.trust_conditions import TrustConditions, read_trust_conditions
 from pipelines.experiments.trust_figure import write_reliability
 from pipelines.experiments.trust_study import rows_of

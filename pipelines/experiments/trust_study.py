@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from pipelines.artifacts.errors import InputError, LfnavError, OptionError, StageError
-from pipelines.artifacts.progress import Progress, no_progress
+from pipelines.artifacts.processes import processor_count
+from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.dataset.dataset import (
     GROUNDTRUTH_FILE,
     ODOMETRY_FILE,
@@ -20,14 +21,13 @@ from pipelines.dataset.dataset import (
 )
 from pipelines.experiments.sweep_result import judged
 from pipelines.experiments.trust_conditions import Condition
-from pipelines.lightfield.bundle import load_scene
-from pipelines.lightfield.channels import Channels
-from pipelines.lightfield.devices import processor_count
 from pipelines.lightfield.scene import Scene
+from pipelines.lightfield.scene_file import load_scene
 from pipelines.localize.run import Run
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.stage import NO_ODOMETRY, localize_dataset
 from pipelines.localize.trust import Trust, pooled, trust_elsewhere, trust_of
+from pipelines.render.channels import Channels
 
 
 @dataclass(frozen=True)

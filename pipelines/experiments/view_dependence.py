@@ -13,18 +13,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipelines.artifacts.array_types import BoolArray, FloatArray, ImageArray
+from pipelines.artifacts.arrays import BoolArray, FloatArray, ImageArray
 from pipelines.artifacts.errors import StageError
-from pipelines.artifacts.progress import Progress
+from pipelines.artifacts.stages import Progress
 from pipelines.experiments.flat_parts import FlatPart, parts_inverse_depth
 from pipelines.experiments.texture import texture_colours
 from pipelines.geometry.plane import Plane
-from pipelines.lightfield.blending import Blending
-from pipelines.lightfield.held_out import HeldOut
-from pipelines.lightfield.image_quality import psnr
-from pipelines.lightfield.proxy import Quality
-from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.views import Views, with_depth, without_depth
+from pipelines.render.blending import Blending
+from pipelines.render.held_out import HeldOut
+from pipelines.render.image_quality import psnr
+from pipelines.render.renderer import Renderer
+from pipelines.render.surface import Quality
 
 GEOMETRIES = {
     "own": "depth from the photos",

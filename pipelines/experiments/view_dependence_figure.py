@@ -8,14 +8,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pipelines.artifacts.array_types import BoolArray, FloatArray, ImageArray
+from pipelines.artifacts.arrays import BoolArray, FloatArray, ImageArray
 from pipelines.experiments.view_dependence import (
     GEOMETRIES,
     RULES,
     PartViews,
     ViewDependence,
 )
-from pipelines.lightfield.image_quality import fitted_gain, psnr
+from pipelines.render.image_quality import fitted_gain, psnr
 
 # What the pictures show beside the photo, left to right.
 PICTURES = (("own", "light_field"), ("true", "light_field"), ("true", "mean"))

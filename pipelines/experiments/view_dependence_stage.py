@@ -8,7 +8,7 @@ import numpy as np
 
 from pipelines.artifacts.atomic import atomic_folder
 from pipelines.artifacts.errors import StageError
-from pipelines.artifacts.progress import Progress
+from pipelines.artifacts.stages import Progress
 from pipelines.dataset.dataset import load_dataset
 from pipelines.experiments.flat_parts import FlatPart, read_flat_parts
 from pipelines.experiments.view_dependence import (
@@ -19,10 +19,10 @@ from pipelines.experiments.view_dependence import (
 )
 from pipelines.experiments.view_dependence_figure import markdown, write_figure
 from pipelines.geometry.plane import Plane
-from pipelines.lightfield.bundle import load_scene
-from pipelines.lightfield.held_out import HeldOut, photos_of_dataset, views_one_by_one
 from pipelines.lightfield.scene import Scene
+from pipelines.lightfield.scene_file import load_scene
 from pipelines.lightfield.views import Views, views_of_scene
+from pipelines.render.held_out import HeldOut, photos_of_dataset, views_one_by_one
 
 TABLE, FIGURE = "table.md", "view-dependence.png"
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from pipelines.artifacts.array_types import Float32Array, FloatArray, ImageArray
+from pipelines.artifacts.arrays import Float32Array, FloatArray, ImageArray
 from pipelines.artifacts.errors import OptionError
 
 # COLMAP's model name -> names of its parameters, in order.

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import OptionError
+from pipelines.geometry.camera import Intrinsics
 
 
 @dataclass(frozen=True)
@@ -56,3 +57,20 @@ def angle_between(first: Plane, second: Plane) -> float:
     """Angle (radians, in [0, pi/2]) between two planes, whichever way their normals point."""
     cosine = abs(float(first.normal @ second.normal))
     return float(np.arccos(min(1.0, cosine)))
+
+
+def plane_inverse_depth(
+    plane: Plane, world_from_camera: FloatArray, intrinsics: Intrinsics
+) -> FloatArray:
+    """Inverse depth of a plane, ``(H, W)``; 0 where the pixel does not show its seen side.
+
+    With the pixel's viewing ray r = R K^-1 p, scaled to 1 along the optical axis, and the virtual
+    centre's distance h from the plane, the inverse depth is -(n . r) / h.
+    """
+    columns, rows = np.meshgrid(np.arange(intrinsics.width), np.arange(intrinsics.height))
+    pixels = np.stack([columns, rows, np.ones_like(rows)], axis=-1)
+    height = float(plane.signed_distance(world_from_camera[:3, 3]))
+    if height <= 0.0:
+        return np.zeros(rows.shape)
+    rays = world_from_camera[:3, :3] @ np.linalg.inv(intrinsics.matrix())
+    return np.maximum(-(pixels @ (plane.normal @ rays)) / height, 0.0)

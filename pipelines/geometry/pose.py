@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.arrays import FloatArray
 
 # Columns: the axes of a forward-looking camera (right, down, forward) in base coordinates.
 BASE_FROM_FORWARD_CAMERA = np.array(

@@ -1,7 +1,6 @@
-"""Floor 4: the light field: posed photos, a scene surface, and views rendered from them.
+"""Floor 4: the scene model, and how it is made of posed photos.
 
-``scene`` and ``bundle`` hold the model in memory and on disk, ``plane_estimation`` finds its
-surface. ``net``, ``blending``, ``proxy`` and ``reference`` are the readable renderer. The C++ core
-is the fast one, which compares each view as soon as it is rendered; ``native_renderer`` leads to it
-and ``renderer`` is its front. ``gpu_renderer`` does the same on a graphics card.
+``scene`` and ``scene_file`` hold the model in memory and on disk; ``plane_estimation`` and
+``depth_maps`` find its surface, ``view_selection`` the photos that it needs, and ``stage`` makes it
+of a reconstruction. ``views`` are its photos in the form in which they are rendered.
 """

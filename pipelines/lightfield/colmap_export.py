@@ -14,8 +14,8 @@ import numpy as np
 from pipelines.artifacts.atomic import atomic_folder, check_output
 from pipelines.artifacts.errors import InputError
 from pipelines.geometry.pose import inverse
-from pipelines.lightfield.bundle import load_scene
 from pipelines.lightfield.scene import Scene
+from pipelines.lightfield.scene_file import load_scene
 from pipelines.reconstruct.colmap_model import ColmapModel, ModelImage, ModelPoints, write_model
 
 IMAGE_FOLDER, MODEL_FOLDER = "images", "sparse"

@@ -17,21 +17,20 @@ from pathlib import Path
 
 import numpy as np
 
-from pipelines.artifacts.array_types import Float32Array, FloatArray, ImageArray
+from pipelines.artifacts.arrays import Float32Array, FloatArray, ImageArray
 from pipelines.artifacts.atomic import write_bytes
 from pipelines.artifacts.errors import InputError
-from pipelines.artifacts.progress import Progress
+from pipelines.artifacts.processes import processor_count
+from pipelines.artifacts.stages import Progress
 from pipelines.dataset.dataset import DEPTH_LIST, load_dataset
 from pipelines.dataset.images import decode_depth, read_image_bytes
 from pipelines.geometry.camera import Intrinsics, Undistorter
-from pipelines.geometry.plane import Plane
-from pipelines.lightfield.bundle import as_stored
-from pipelines.lightfield.depth import DepthMap, DepthSettings, estimate_depth
-from pipelines.lightfield.depth_fusion import refine_depth_maps
-from pipelines.lightfield.depth_neighbours import choose_neighbours, depth_range
-from pipelines.lightfield.devices import processor_count
-from pipelines.lightfield.proxy import plane_inverse_depth
+from pipelines.geometry.plane import Plane, plane_inverse_depth
+from pipelines.lightfield.depth_filtering import refine_depth_maps
 from pipelines.lightfield.scene import SceneDepth
+from pipelines.lightfield.scene_file import as_stored
+from pipelines.lightfield.stereo_depth import DepthMap, DepthSettings, estimate_depth
+from pipelines.lightfield.stereo_neighbours import choose_neighbours, depth_range
 from pipelines.lightfield.views import shrink
 from pipelines.reconstruct.reconstruction import Reconstruction
 

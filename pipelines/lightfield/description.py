@@ -8,8 +8,8 @@ import numpy as np
 
 from pipelines.geometry.camera import cameras_text
 from pipelines.geometry.pose import camera_heading_of
-from pipelines.lightfield.bundle import load_scene, scene_provenance
 from pipelines.lightfield.scene import Scene
+from pipelines.lightfield.scene_file import load_scene, scene_provenance
 from pipelines.lightfield.size_budget import SizeBudget, size_budget
 
 # Where the provenance of a scene names the photos that it was made without.

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray
+from pipelines.artifacts.arrays import BoolArray, Float32Array, FloatArray
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
 from pipelines.geometry.pose import inverse

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipelines.artifacts.array_types import (
+from pipelines.artifacts.arrays import (
     BoolArray,
     Float32Array,
     FloatArray,

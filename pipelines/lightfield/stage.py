@@ -6,16 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.artifacts.array_types import ImageArray, IntArray
+from pipelines.artifacts.arrays import ImageArray, IntArray
 from pipelines.artifacts.atomic import check_output
 from pipelines.artifacts.errors import InputError, OptionError, StageError
-from pipelines.artifacts.progress import Progress
 from pipelines.artifacts.provenance import provenance, sha256_of_bytes, sha256_of_file
+from pipelines.artifacts.stages import Progress
 from pipelines.dataset.images import decode_image, read_image_bytes
 from pipelines.geometry.camera import Intrinsics, Undistorter
 from pipelines.geometry.plane import Plane, plane_from_coefficients
-from pipelines.lightfield.bundle import identifier_of, save_scene
-from pipelines.lightfield.depth import DepthSettings
 from pipelines.lightfield.depth_maps import (
     depth_from_photos,
     discard_finished,
@@ -30,6 +28,8 @@ from pipelines.lightfield.plane_estimation import (
     plane_from_points,
 )
 from pipelines.lightfield.scene import PlaneEstimate, Scene, SceneDepth, covered_bounds
+from pipelines.lightfield.scene_file import identifier_of, save_scene
+from pipelines.lightfield.stereo_depth import DepthSettings
 from pipelines.lightfield.view_selection import KnownSurface, select_views
 from pipelines.lightfield.views import build_views, shrink
 from pipelines.reconstruct.reconstruction import (

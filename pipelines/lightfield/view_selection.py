@@ -17,16 +17,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipelines.artifacts.array_types import Float32Array, FloatArray, IntArray
+from pipelines.artifacts.arrays import Float32Array, FloatArray, IntArray
 from pipelines.artifacts.errors import OptionError
-from pipelines.artifacts.progress import Progress
+from pipelines.artifacts.stages import Progress
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
 from pipelines.geometry.pose import inverse
-from pipelines.lightfield.blending import border_penalties, ray_penalties
-from pipelines.lightfield.depth_neighbours import MIN_POINTS, plane_depths
-from pipelines.lightfield.net import sees
 from pipelines.lightfield.scene import SceneDepth
+from pipelines.lightfield.stereo_neighbours import MIN_POINTS, plane_depths
+from pipelines.lightfield.view_penalties import border_penalties, ray_penalties, sees
 
 GRID_COLUMNS, GRID_ROWS = 6, 4
 # More rays than this are thinned out: the table of benefits has a row for each view.

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from pipelines.artifacts.array_types import Float32Array, FloatArray, ImageArray, IntArray
-from pipelines.artifacts.progress import Progress, no_progress
+from pipelines.artifacts.arrays import Float32Array, FloatArray, ImageArray, IntArray
+from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.geometry.camera import Camera, Intrinsics, Undistorter
 from pipelines.geometry.pose import inverse
 from pipelines.lightfield.scene import Scene

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pipelines.artifacts.array_types import BoolArray, FloatArray
+from pipelines.artifacts.arrays import BoolArray, FloatArray
 from pipelines.artifacts.errors import OptionError, StageError
 from pipelines.localize.state_space import StateSpace, state_space_of_dimension
 
@@ -215,3 +215,13 @@ def _check_count(count: int) -> None:
 def equal_log_weights(count: int) -> FloatArray:
     """``(count,)`` log-weights of particles that all weigh the same."""
     return np.full(count, -np.log(count))
+
+
+def radical_inverses(count: int, base: int) -> FloatArray:
+    """``(count,)``: 0, 1, 2 ... with their digits mirrored at the point, in [0, 1)."""
+    rest, result = np.arange(count), np.zeros(count)
+    worth = 1.0 / base
+    while rest.any():
+        result += worth * (rest % base)
+        rest, worth = rest // base, worth / base
+    return result

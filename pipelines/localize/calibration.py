@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from pipelines.artifacts.array_types import BoolArray, FloatArray
+from pipelines.artifacts.arrays import BoolArray, FloatArray
 from pipelines.artifacts.errors import OptionError
 
 BINS = 10

@@ -13,7 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from pipelines.artifacts.array_types import Float32Array
+from pipelines.artifacts.arrays import Float32Array
 from pipelines.localize.observation import Observation, Observations
 from pipelines.localize.places import compressed
 

@@ -11,9 +11,9 @@ import math
 import numpy as np
 import scipy
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import OptionError
-from pipelines.localize.halton import radical_inverses
+from pipelines.localize.belief import radical_inverses
 from pipelines.localize.state_space import state_space_of_dimension
 
 # What "right" means: metres and radians.

@@ -13,11 +13,11 @@ from functools import reduce
 from typing import Any
 
 from pipelines.artifacts.toml_file import format_value, type_name
-from pipelines.lightfield.blending import Blending
-from pipelines.lightfield.channels import Channels
-from pipelines.lightfield.comparison import Cost
-from pipelines.lightfield.devices import Device
 from pipelines.localize.settings import LocalizerSettings
+from pipelines.render.blending import Blending
+from pipelines.render.channels import Channels
+from pipelines.render.comparison import Cost
+from pipelines.render.devices import Device
 
 SECTIONS = {
     "filter": "The particle filter.",

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from pipelines.artifacts.array_types import BoolArray, FloatArray
+from pipelines.artifacts.arrays import BoolArray, FloatArray
 from pipelines.localize.run import Run
 
 REGION = 0.95

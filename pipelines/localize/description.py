@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.localize.run import STATUSES, Run, load_run
 from pipelines.localize.state_space import StateSpace
 

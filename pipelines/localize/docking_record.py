@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import OptionError
 from pipelines.artifacts.safe_hdf5 import SafeFile, write_array, write_json
 

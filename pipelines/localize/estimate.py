@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from pipelines.artifacts.array_types import FloatArray, IntArray
+from pipelines.artifacts.arrays import FloatArray, IntArray
 from pipelines.artifacts.errors import OptionError
 from pipelines.localize.belief import Belief
 from pipelines.localize.state_space import StateSpace, state_space_of_dimension

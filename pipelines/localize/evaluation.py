@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.artifacts.array_types import BoolArray, FloatArray
+from pipelines.artifacts.arrays import BoolArray, FloatArray
 from pipelines.artifacts.errors import InputError, OptionError
 from pipelines.dataset.dataset import PAIRING_TOLERANCE
 from pipelines.geometry.trajectory import Trajectory, read_tum
@@ -24,8 +24,7 @@ from pipelines.localize.consistency import (
     frames_until_converged,
 )
 from pipelines.localize.run import PNP_ESTIMATE, STAND_INS, Run, load_run
-from pipelines.localize.state_errors import known_states, state_errors
-from pipelines.localize.state_space import StateSpace
+from pipelines.localize.state_space import StateSpace, known_states, state_errors
 from pipelines.localize.trust import Trust, trust_of
 
 LAST_FRAMES = 5

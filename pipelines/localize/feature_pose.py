@@ -16,7 +16,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from pipelines.artifacts.array_types import Float32Array, FloatArray, ImageArray, IntArray
+from pipelines.artifacts.arrays import Float32Array, FloatArray, ImageArray, IntArray
 from pipelines.geometry.camera import Camera
 from pipelines.reconstruct.colmap_model import PIXEL_CENTRE_SHIFT, colmap_params
 

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import scipy
 
-from pipelines.artifacts.array_types import BoolArray, Float32Array, FloatArray, IntArray
+from pipelines.artifacts.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from pipelines.artifacts.errors import InputError
 from pipelines.artifacts.provenance import sha256_of_bytes
 from pipelines.geometry.camera import Intrinsics, Undistorter

@@ -1,6 +1,6 @@
 """Kinds of likelihood: how a view and a camera image are compared, and how much that is trusted.
 
-The cost of a comparison (``pipelines.lightfield.comparison``) becomes a log-likelihood,
+The cost of a comparison (``pipelines.render.comparison``) becomes a log-likelihood,
 ``-sharpness * cost``. The default, ``evidence``, is absolute: a log-likelihood ratio against an
 image that does not show the map. The others say only which of several states fits better; the
 paper's is ``squared``.
@@ -12,12 +12,12 @@ from types import MappingProxyType
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import OptionError, StageError
-from pipelines.lightfield.channels import Channels
-from pipelines.lightfield.comparison import Cost
 from pipelines.localize.belief import effective_sample_size, normalise_log_weights
 from pipelines.localize.observation import LATTICES
+from pipelines.render.channels import Channels
+from pipelines.render.comparison import Cost
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """The localizer: image and odometry in, belief and estimates out, frame by frame.
 
 A frame's way: the image is prepared (``observation``), a strategy carries the belief on
-(``strategies``, ``informed``), and from the belief come the estimates, their covariance, and
+(``strategies``, ``mixture_mcl``), and from the belief come the estimates, their covariance, and
 whether they can be relied on.
 """
 
@@ -13,7 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from pipelines.artifacts.array_types import BoolArray, FloatArray, ImageArray
+from pipelines.artifacts.arrays import BoolArray, FloatArray, ImageArray
 from pipelines.artifacts.errors import OptionError
 from pipelines.geometry.camera import Camera
 from pipelines.lightfield.scene import Scene
@@ -25,8 +25,8 @@ from pipelines.localize.estimate import (
     mean_state,
     modes_table,
 )
-from pipelines.localize.informed import Informed
 from pipelines.localize.measurement_model import MeasurementModel
+from pipelines.localize.mixture_mcl import Informed
 from pipelines.localize.motion import checked_increment
 from pipelines.localize.observation import Observation, Observations, Observer
 from pipelines.localize.run import FrameRecord

@@ -20,7 +20,7 @@ Limits, and why:
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.geometry.pose import inverse
 from pipelines.lightfield.scene import Scene
 

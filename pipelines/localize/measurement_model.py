@@ -2,7 +2,7 @@
 
 Evidence is the logarithm of p(image | the map, seen from this state) / p(image | not the map):
 positive where the image speaks for the state, 0 where the map shows nothing there, negative where
-it speaks against it (``lightfield.pixel_evidence``). It is what says whether the image shows the
+it speaks against it (``render.pixel_evidence``). It is what says whether the image shows the
 map at all, whichever likelihood weighs the particles.
 """
 
@@ -10,22 +10,22 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pipelines.artifacts.array_types import BoolArray, FloatArray
-from pipelines.lightfield.channels import Channels, views_in_channels
-from pipelines.lightfield.comparison import Cost, PixelEvidence
-from pipelines.lightfield.pixel_evidence import learn_evidence
-from pipelines.lightfield.proxy import Quality, quality_named
-from pipelines.lightfield.renderer import Renderer
-from pipelines.lightfield.renderer_choice import renderer_of_scene
+from pipelines.artifacts.arrays import BoolArray, FloatArray
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.views import Views, views_of_scene
+from pipelines.localize.alignment import Prior, Refined, refine
 from pipelines.localize.belief import Belief
 from pipelines.localize.likelihood import LIKELIHOODS, Likelihood
 from pipelines.localize.observation import Observation, Observations
 from pipelines.localize.places import compressed
-from pipelines.localize.refinement import Prior, Refined, refine
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import StateSpace
+from pipelines.render.channels import Channels, views_in_channels
+from pipelines.render.comparison import Cost, PixelEvidence
+from pipelines.render.pixel_evidence import learn_evidence
+from pipelines.render.renderer import Renderer
+from pipelines.render.renderer_choice import renderer_of_scene
+from pipelines.render.surface import Quality, quality_named
 
 # Photos are kept at so many times the width of the finest comparison.
 VIEW_RESOLUTION_FACTOR = 8

@@ -18,12 +18,12 @@ from types import MappingProxyType
 import cv2
 import numpy as np
 
-from pipelines.artifacts.array_types import BoolArray, Float32Array, ImageArray
+from pipelines.artifacts.arrays import BoolArray, Float32Array, ImageArray
 from pipelines.artifacts.errors import OptionError
 from pipelines.dataset.mask import SMALLEST_USED_SHARE
 from pipelines.geometry.camera import Camera, Intrinsics, Undistorter
-from pipelines.lightfield.channels import Channels, channel_image
 from pipelines.lightfield.views import area_average, query_intrinsics
+from pipelines.render.channels import Channels, channel_image
 
 # An image whose grey levels differ by less than this (standard deviation) shows nothing: a covered
 # lens, a dark room, a burnt-out frame.

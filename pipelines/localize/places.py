@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from pipelines.artifacts.array_types import FloatArray, IntArray
+from pipelines.artifacts.arrays import FloatArray, IntArray
 from pipelines.artifacts.errors import StageError
 from pipelines.localize.state_space import StateSpace
 

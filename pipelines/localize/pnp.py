@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from pipelines.artifacts.array_types import BoolArray, FloatArray, ImageArray
+from pipelines.artifacts.arrays import BoolArray, FloatArray, ImageArray
 from pipelines.artifacts.errors import OptionError
-from pipelines.artifacts.progress import Progress
+from pipelines.artifacts.stages import Progress
 from pipelines.geometry.camera import Camera
 from pipelines.geometry.pose import inverse, pose_from_rotation
 from pipelines.lightfield.scene import Scene

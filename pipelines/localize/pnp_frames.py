@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.localize.belief import Belief, Region, uniform_belief
 from pipelines.localize.pnp import PnpAnswer
 from pipelines.localize.run import PNP_ESTIMATE, FrameRecord

@@ -6,14 +6,19 @@ The paper draws one sample of the motion model for each particle. A proposal tha
 distributions around the moved particles. A part of it, ``anywhere_share``, is uniform over the
 region: all of it when nobody knows where the robot is, a little when it may have been carried away
 (sensor resetting; Thrun, Burgard, Fox, *Probabilistic Robotics*, section 8.3.3).
+
+Where nobody knows the motion, it is taken to go on as between the last two images, and the prior is
+widened until the image is explained. An image that is explained much less than images usually are
+proves no place, however much better it fits there than elsewhere: far away something may look like
+it.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.localize.belief import Region
 from pipelines.localize.resampling import resample
 from pipelines.localize.state_space import StateSpace
@@ -23,6 +28,18 @@ from pipelines.native import log_mixture_density
 SMALLEST_POSITION_SIGMA, SMALLEST_ANGLE_SIGMA = 1e-3, 1e-3
 # Pairs of states are worked on in blocks of so many, so that memory stays bounded.
 PAIRS_TOGETHER = 4_000_000
+# The motion goes on as between the last two images, give or take this share of it.
+SPEED_CHANGE = 0.5
+# While the image does not fit, so many times that is tried, so often, at most as far as this angle:
+# a hand turns a camera by half its view in a moment.
+SPEED_GROWTH, SPEED_GROWTHS = 4.0, 2
+LARGEST_WALK_ANGLE = math.pi / 2.0
+# The body may be anywhere with this probability, twice that while the image does not fit. Every
+# image is looked up all over the map as well, though more briefly.
+UNKNOWN_MOTION_SHARE, UNKNOWN_MOTION_SEARCHED = 0.1, 8
+# An image that is explained less than the first share of how well images usually are does not fit
+# yet; less than the second, and it proves no place.
+FITTING_SHARE, PROVING_SHARE = 0.7, 0.5
 
 
 @dataclass(frozen=True)
@@ -95,3 +112,13 @@ class Prediction:
         normal = positions * math.log(position_sigma) + angles * math.log(angle_sigma)
         normal += 0.5 * space.dimension * math.log(2.0 * math.pi)
         return np.asarray(densities - normal, dtype=np.float64)
+
+
+def widened(prediction: Prediction, anywhere_share: float) -> Prediction:
+    """The prior when the image does not fit where the body was thought to be."""
+    return replace(
+        prediction,
+        position_sigma=SPEED_GROWTH * prediction.position_sigma,
+        angle_sigma=min(SPEED_GROWTH * prediction.angle_sigma, LARGEST_WALK_ANGLE),
+        anywhere_share=max(anywhere_share, 2.0 * UNKNOWN_MOTION_SHARE),
+    )

@@ -16,7 +16,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pipelines.artifacts.array_types import FloatArray, IntArray
+from pipelines.artifacts.arrays import FloatArray, IntArray
 from pipelines.artifacts.errors import OptionError, StageError
 
 Scheme: TypeAlias = Callable[[FloatArray, int, np.random.Generator], IntArray]

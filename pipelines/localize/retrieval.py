@@ -12,15 +12,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from pipelines.artifacts.array_types import Float32Array, FloatArray, IntArray
+from pipelines.artifacts.arrays import Float32Array, FloatArray, IntArray
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.pose import inverse
-from pipelines.lightfield.channels import ZERO
-from pipelines.lightfield.renderer import Renderer
-from pipelines.localize.belief import Region
-from pipelines.localize.halton import radical_inverses
+from pipelines.localize.belief import Region, radical_inverses
 from pipelines.localize.observation import Observation
 from pipelines.localize.state_space import StateSpace
+from pipelines.render.channels import ZERO
+from pipelines.render.renderer import Renderer
 
 TILES_ACROSS, TILES_DOWN = 4, 3
 # Root mean square of a channel below which a tile shows nothing, as bytes.

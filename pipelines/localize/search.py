@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.localize.belief import Region
 from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.observation import Observations

@@ -5,13 +5,13 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from pipelines.artifacts.errors import OptionError
-from pipelines.lightfield.blending import Blending
-from pipelines.lightfield.devices import Device
-from pipelines.lightfield.proxy import Quality, quality_named
 from pipelines.localize.likelihood import LIKELIHOODS, Likelihood
 from pipelines.localize.motion import MotionModel
 from pipelines.localize.resampling import SCHEMES
 from pipelines.localize.state_space import StateSpace, state_space_of_dimension
+from pipelines.render.blending import Blending
+from pipelines.render.devices import Device
+from pipelines.render.surface import Quality, quality_named
 
 METHODS = ("filter", "pnp")
 PROPOSALS = ("appearance", "pnp", "both")

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray, ImageArray
+from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.artifacts.atomic import check_output
 from pipelines.artifacts.errors import InputError, OptionError, StageError
-from pipelines.artifacts.progress import Progress
 from pipelines.artifacts.provenance import provenance, sha256_of_file
+from pipelines.artifacts.stages import Progress
 from pipelines.dataset.dataset import (
     CAMERA_FILE,
     ODOMETRY_FILE,
@@ -22,9 +22,8 @@ from pipelines.dataset.dataset import (
 )
 from pipelines.geometry.camera import Camera
 from pipelines.geometry.planarity import check_planar
-from pipelines.lightfield.bundle import load_scene
-from pipelines.lightfield.devices import resolved_device
 from pipelines.lightfield.scene import Scene
+from pipelines.lightfield.scene_file import load_scene
 from pipelines.localize.belief import Region
 from pipelines.localize.description import RunSummary
 from pipelines.localize.localizer import Localizer, region_of
@@ -39,6 +38,7 @@ from pipelines.reconstruct.reconstruction import (
     Reconstruction,
     load_reconstruction,
 )
+from pipelines.render.devices import resolved_device
 
 # How errors name the odometry of a run that is to do without.
 NO_ODOMETRY = Path("none")

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import scipy
 
-from pipelines.artifacts.array_types import FloatArray, IntArray
+from pipelines.artifacts.arrays import BoolArray, FloatArray, IntArray
 from pipelines.artifacts.errors import OptionError
 from pipelines.geometry.pose import (
     inverse,
@@ -308,3 +308,24 @@ def _rotations(states: FloatArray) -> "Rotation":
 def _joined(positions: FloatArray, rotations: "Rotation") -> FloatArray:
     vectors = rotations.as_rotvec().reshape(*positions.shape[:-1], 3)
     return np.concatenate([positions, vectors], axis=-1)
+
+
+def state_errors(
+    space: StateSpace, states: FloatArray, truth: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Distances ``(N,)`` in metres and angles ``(N,)`` in radians between states and the truth.
+
+    NaN where either is unknown.
+    """
+    distances, angles = np.full((2, len(states)), np.nan)
+    known = known_states(states) & known_states(truth)
+    if np.any(known):
+        offsets = space.difference(states[known], truth[known])
+        distances[known] = np.linalg.norm(offsets[:, : space.positions], axis=1)
+        angles[known] = np.linalg.norm(offsets[:, space.positions :], axis=1)
+    return distances, angles
+
+
+def known_states(states: FloatArray) -> BoolArray:
+    """Which of the states ``(N, D)`` are known: finite in all numbers, ``(N,)``."""
+    return np.asarray(np.all(np.isfinite(states), axis=1), dtype=np.bool_)

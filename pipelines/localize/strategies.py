@@ -8,7 +8,7 @@ image; the number of particles is constant.
 at first, a likelihood that is kept from killing all but one of them, fewer particles as the belief
 narrows.
 
-``informed`` lets the image say where to look (``informed.py``), and is the default.
+``informed`` lets the image say where to look (``mixture_mcl``), and is the default.
 """
 
 import math
@@ -17,7 +17,7 @@ from typing import Protocol
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.localize.belief import (
     Belief,
     Region,
@@ -28,13 +28,13 @@ from pipelines.localize.belief import (
     uniform_belief,
 )
 from pipelines.localize.estimate import Mode, find_modes
+from pipelines.localize.kld_sampling import next_count, roughened
 from pipelines.localize.likelihood import tempered
 from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.motion import checked_increment, predict
 from pipelines.localize.observation import Observations
-from pipelines.localize.outside import Presence
+from pipelines.localize.outside_hypothesis import Presence
 from pipelines.localize.places import compressed
-from pipelines.localize.population import next_count, roughened
 from pipelines.localize.resampling import resample
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import StateSpace

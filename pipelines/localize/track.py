@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.arrays import FloatArray
+from pipelines.localize.alignment import Prior, Refined
 from pipelines.localize.consistency import chi_square_quantile
-from pipelines.localize.refinement import Prior, Refined
 from pipelines.localize.state_space import StateSpace
 
 # An alignment is left out when a right one would be nearer with this probability.

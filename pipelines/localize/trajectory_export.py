@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.atomic import check_output, write_text
 from pipelines.artifacts.errors import OptionError, StageError
 from pipelines.geometry.pose import quaternion_of

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.artifacts.array_types import BoolArray, FloatArray
+from pipelines.artifacts.arrays import BoolArray, FloatArray
 from pipelines.artifacts.errors import OptionError
 from pipelines.localize.calibration import (
     Bin,
@@ -28,7 +28,7 @@ from pipelines.localize.calibration import (
 )
 from pipelines.localize.consistency import Consistency, consistency_of
 from pipelines.localize.run import STAND_INS, Run
-from pipelines.localize.state_errors import known_states, state_errors
+from pipelines.localize.state_space import known_states, state_errors
 
 # Beyond these a place that is tracked is another one.
 WRONG_POSITION_M, WRONG_HEADING_DEG = 0.3, 10.0

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import StageError
 from pipelines.geometry.camera import Camera
 from pipelines.geometry.pose import inverse

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray, ImageArray, IntArray
+from pipelines.artifacts.arrays import FloatArray, ImageArray, IntArray
 from pipelines.artifacts.errors import InputError, OptionError
 from pipelines.artifacts.file_content import read_file
 from pipelines.geometry.camera import CAMERA_MODELS, Camera

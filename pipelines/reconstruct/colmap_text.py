@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray, IntArray
+from pipelines.artifacts.arrays import FloatArray, IntArray
 from pipelines.artifacts.errors import InputError
 from pipelines.artifacts.file_content import is_file, read_text_file
 from pipelines.geometry.camera import CAMERA_MODELS, Camera

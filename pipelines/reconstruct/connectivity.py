@@ -7,7 +7,7 @@ in itself, every measure of fit is good, and the pieces lie anywhere relative to
 import numpy as np
 import scipy
 
-from pipelines.artifacts.array_types import IntArray
+from pipelines.artifacts.arrays import IntArray
 from pipelines.reconstruct.colmap_model import NO_POINT, ColmapModel, ModelImage, ModelPoints
 
 # Points that two images have to share to hold each other; as many as a mapper asks for to pose one

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.dataset.dataset import GROUNDTRUTH_FILE
 from pipelines.geometry.camera import Camera
 

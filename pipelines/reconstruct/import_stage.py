@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.atomic import atomic_folder, check_output
 from pipelines.artifacts.errors import InputError, StageError
-from pipelines.artifacts.progress import Progress
 from pipelines.artifacts.provenance import provenance, sha256_of_bytes
+from pipelines.artifacts.stages import Progress
 from pipelines.dataset.importers.camera_grid import read_camera_grid
 from pipelines.dataset.importers.kitti import read_kitti
 from pipelines.dataset.importers.nerfstudio import read_nerfstudio

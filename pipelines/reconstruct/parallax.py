@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import StageError
 from pipelines.geometry.camera import Camera
 from pipelines.reconstruct.colmap_model import PIXEL_CENTRE_SHIFT

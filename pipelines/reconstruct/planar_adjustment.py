@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from pipelines.artifacts.array_types import FloatArray, IntArray
+from pipelines.artifacts.arrays import FloatArray, IntArray
 from pipelines.artifacts.errors import StageError
 from pipelines.geometry.pose import inverse, planar_state_of, world_from_base_planar, wrap_angle
 from pipelines.reconstruct.reconstruction import Reconstruction

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray, ImageArray, IntArray
+from pipelines.artifacts.arrays import FloatArray, ImageArray, IntArray
 from pipelines.artifacts.atomic import atomic_folder
 from pipelines.artifacts.errors import InputError, OptionError
 from pipelines.artifacts.file_content import read_file

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from pipelines.artifacts.errors import InputError, StageError
-from pipelines.artifacts.progress import Progress
-from pipelines.artifacts.worker_process import WorkerProcess, worker_command
+from pipelines.artifacts.processes import WorkerProcess, worker_command
+from pipelines.artifacts.stages import Progress
 from pipelines.dataset.dataset import Dataset
 from pipelines.dataset.images import image_header
 from pipelines.geometry.camera import Camera

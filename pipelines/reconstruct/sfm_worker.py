@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pipelines.artifacts.worker_process import die_with_parent, own_output
+from pipelines.artifacts.processes import die_with_parent, own_output
 
 # Degrees between the two first views. COLMAP's default of 16 is safest, but pictures taken facing
 # forward do not have it.

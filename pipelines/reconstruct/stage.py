@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.atomic import check_output
 from pipelines.artifacts.errors import InputError, OptionError, StageError
-from pipelines.artifacts.progress import Progress
 from pipelines.artifacts.provenance import provenance, sha256_of_bytes, sha256_of_file
+from pipelines.artifacts.stages import Progress
 from pipelines.dataset.dataset import ODOMETRY_FILE, Dataset, load_dataset
 from pipelines.dataset.images import decode_image
 from pipelines.geometry.planarity import check_planar, check_quaternion_order

@@ -9,8 +9,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from pipelines.artifacts.array_types import ImageArray
-from pipelines.artifacts.progress import Progress
+from pipelines.artifacts.arrays import ImageArray
+from pipelines.artifacts.stages import Progress
 from pipelines.dataset.images import decode_image
 from pipelines.localize.run import Run
 from pipelines.report import style

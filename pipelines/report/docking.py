@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from pipelines.artifacts.array_types import BoolArray, FloatArray
+from pipelines.artifacts.arrays import BoolArray, FloatArray
 from pipelines.artifacts.errors import OptionError
 from pipelines.localize.docking_record import DockingRecord
 from pipelines.localize.run import Run

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pipelines.artifacts.array_types import FloatArray, ImageArray
+from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.localize.run import Run
 from pipelines.report import style
 from pipelines.report.legend import legend_entries

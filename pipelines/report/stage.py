@@ -6,13 +6,13 @@ from typing import Any
 
 from pipelines.artifacts.atomic import atomic_folder, check_output
 from pipelines.artifacts.errors import InputError, LfnavError, OptionError
-from pipelines.artifacts.progress import Progress, no_progress
-from pipelines.lightfield.bundle import load_scene, scene_provenance
-from pipelines.lightfield.proxy import Quality, quality_named
-from pipelines.lightfield.renderer import Renderer
+from pipelines.artifacts.stages import Progress, no_progress
+from pipelines.lightfield.obstacle_points import standing_points
 from pipelines.lightfield.scene import Scene
-from pipelines.lightfield.standing_points import standing_points
+from pipelines.lightfield.scene_file import load_scene, scene_provenance
 from pipelines.localize.run import Run, check_run_belongs_to, load_run, locate_scene
+from pipelines.render.renderer import Renderer
+from pipelines.render.surface import Quality, quality_named
 from pipelines.report.animation import animation
 from pipelines.report.content import page_of
 from pipelines.report.docking import docking_figure

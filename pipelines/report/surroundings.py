@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.geometry.camera import Camera
 from pipelines.geometry.plane import Plane
 from pipelines.geometry.pose import camera_heading_of

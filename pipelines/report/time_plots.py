@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullFormatter
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.localize.run import Run
-from pipelines.localize.state_errors import state_errors
+from pipelines.localize.state_space import state_errors
 from pipelines.report import style
 from pipelines.report.tracks import Tracks
 

@@ -12,7 +12,7 @@ from matplotlib.path import Path as MarkerPath
 from matplotlib.ticker import MultipleLocator
 from matplotlib.transforms import Affine2D
 
-from pipelines.artifacts.array_types import BoolArray, FloatArray
+from pipelines.artifacts.arrays import BoolArray, FloatArray
 from pipelines.localize.run import FrameRecord, Run
 from pipelines.report import style
 from pipelines.report.surroundings import Surface, Surroundings

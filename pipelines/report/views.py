@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from pipelines.artifacts.array_types import BoolArray, FloatArray, ImageArray
+from pipelines.artifacts.arrays import BoolArray, FloatArray, ImageArray
 from pipelines.dataset.images import decode_image
 from pipelines.geometry.camera import Intrinsics, Undistorter
-from pipelines.lightfield.renderer import Renderer, Rendering
 from pipelines.localize.run import Run
+from pipelines.render.renderer import Renderer, Rendering
 from pipelines.report.style import UNCOVERED_DARK, UNCOVERED_LIGHT
 
 # The largest pictures are four inches wide at 120 pixels an inch; more would only weigh more.

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import InputError
-from pipelines.artifacts.progress import Progress
 from pipelines.artifacts.provenance import sha256_of_bytes
+from pipelines.artifacts.stages import Progress
 from pipelines.dataset.camera_file import CameraFile, format_camera_file
 from pipelines.dataset.dataset import CAMERA_FILE, DEPTH_LIST, GROUNDTRUTH_FILE, IMAGE_LIST
 from pipelines.dataset.images import (

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from pipelines.artifacts.errors import InputError
-from pipelines.artifacts.progress import Progress
+from pipelines.artifacts.stages import Progress
 from pipelines.dataset.images import MAX_PIXELS, encode_jpeg, encode_png
 from pipelines.dataset.importers.recording import IMAGE_FOLDER, Recording, SourceFrame
 from pipelines.dataset.importers.settings import ImportSettings

@@ -9,20 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import InputError, OptionError
 from pipelines.dataset.camera_file import read_camera_file
 from pipelines.dataset.dataset import CAMERA_FILE, load_dataset
 from pipelines.dock.robot import CheckedRobot, Robot, RobotError
-from pipelines.dock.robots.actuation import MotionNoise, SimulatedMotion
 from pipelines.dock.robots.faults import FaultyRobot
 from pipelines.dock.robots.model import ModelRobot
+from pipelines.dock.robots.noise import MotionNoise, SensorNoise, SimulatedMotion
 from pipelines.dock.robots.replay import ReplayRobot
-from pipelines.dock.robots.sensor import SensorNoise
 from pipelines.dock.robots.simulator import PathTracing, SimulatorRobot
 from pipelines.geometry.camera import Camera, Undistorter
-from pipelines.lightfield.bundle import load_scene
 from pipelines.lightfield.scene import Scene
+from pipelines.lightfield.scene_file import load_scene
 
 SIMULATED = ("model", "replay", "sim")
 

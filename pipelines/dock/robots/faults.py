@@ -5,7 +5,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray, ImageArray
+from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.artifacts.errors import OptionError
 from pipelines.dock.robot import KnowsTruth, Robot
 

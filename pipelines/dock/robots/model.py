@@ -2,15 +2,14 @@
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray, ImageArray
+from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.dock.robot import Movement
-from pipelines.dock.robots.actuation import SimulatedMotion
-from pipelines.dock.robots.sensor import SensorNoise, as_recorded
+from pipelines.dock.robots.noise import SensorNoise, SimulatedMotion, as_recorded
 from pipelines.geometry.camera import Camera, Undistorter
 from pipelines.geometry.pose import world_from_base_planar
-from pipelines.lightfield.proxy import Quality, quality_named
-from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.scene import Scene
+from pipelines.render.renderer import Renderer
+from pipelines.render.surface import Quality, quality_named
 
 
 class ModelRobot:

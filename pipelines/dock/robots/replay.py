@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 
-from pipelines.artifacts.array_types import FloatArray, ImageArray
+from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.artifacts.errors import InputError
 from pipelines.dataset.dataset import CAMERA_FILE, GROUNDTRUTH_FILE, Dataset, poses_at_images
 from pipelines.dock.robot import Movement
-from pipelines.dock.robots.actuation import SimulatedMotion
+from pipelines.dock.robots.noise import SimulatedMotion
 from pipelines.geometry.pose import planar_state_of, wrap_angle
 
 # A turn of one radian counts as much as so many metres.

@@ -15,11 +15,10 @@ from typing import Any
 import cv2
 import numpy as np
 
-from pipelines.artifacts.array_types import Float32Array, FloatArray, ImageArray
+from pipelines.artifacts.arrays import Float32Array, FloatArray, ImageArray
 from pipelines.artifacts.errors import InputError, OptionError, StageError
 from pipelines.dock.robot import Movement
-from pipelines.dock.robots.actuation import SimulatedMotion
-from pipelines.dock.robots.sensor import SensorNoise, as_recorded
+from pipelines.dock.robots.noise import SensorNoise, SimulatedMotion, as_recorded
 from pipelines.geometry.camera import Camera, Intrinsics
 from pipelines.geometry.pose import world_from_base_planar
 

@@ -1,0 +1,33 @@
+"""What a stage tells whoever runs it: how far it is while it works, and then what came out."""
+
+from collections.abc import Iterable, Iterator
+from typing import Any, Protocol, TypeVar
+
+T = TypeVar("T")
+
+
+class Progress(Protocol):
+    """Wraps an iterable; a front end shows a bar while the items are consumed."""
+
+    def __call__(
+        self, items: Iterable[T], description: str, total: int | None = None
+    ) -> Iterator[T]:
+        """Yields ``items`` unchanged; ``total`` is their number where ``len`` does not tell."""
+        ...
+
+
+def no_progress(items: Iterable[T], description: str, total: int | None = None) -> Iterator[T]:
+    """The ``Progress`` that shows nothing."""
+    yield from items
+
+
+class Summary(Protocol):
+    """The outcome of a stage."""
+
+    def table(self) -> list[tuple[str, ...]]:
+        """Rows for people; the first row holds the column headings."""
+        ...
+
+    def to_dict(self) -> dict[str, Any]:
+        """The same for programs: plain JSON types, SI units unless the key says otherwise."""
+        ...

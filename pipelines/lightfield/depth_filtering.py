@@ -1,0 +1,143 @@
+"""Depth maps of neighbouring views brought to agree, and completed where none confirms another.
+
+After Merrell et al. (2007), "Real-time visibility-based fusion of depth maps": the depths that the
+neighbours found are seen from the view; at each pixel the depth is taken that most neighbours see
+and fewest see through.
+
+What only one photo shows has no parallax. A floor or a wall mostly goes on as it was, so planes are
+fitted at the rim of the unconfirmed region and extended into it.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import partial
+
+import cv2
+import numpy as np
+
+from pipelines import native
+from pipelines.artifacts.arrays import FloatArray, IntArray
+from pipelines.artifacts.errors import OptionError
+from pipelines.artifacts.stages import Progress, no_progress
+from pipelines.lightfield.stereo_depth import DepthMap, DepthSettings, pixel_map
+
+# How often all views are compared: the second time they compare what the first has mended.
+ROUNDS = 2
+# What a neighbour's depth counts where it is not confident itself.
+UNSURE_TRUST = 0.5
+# Specks of confidence smaller than half of this window, in pixels, are no surface to start from.
+SPECK_SIZE = 7
+MEDIAN_SIZE = 5
+
+
+def refine_depth_maps(
+    maps: Sequence[DepthMap],
+    world_from_camera: FloatArray,
+    neighbours: Sequence[IntArray],
+    settings: DepthSettings,
+    workers: int = 1,
+    progress: Progress = no_progress,
+) -> tuple[DepthMap, ...]:
+    """Depth maps that agree with each other: fused in rounds, then completed.
+
+    Args:
+        maps: of the N views, as ``estimate_depth`` found them.
+        world_from_camera: ``(N, 4, 4)``.
+        neighbours: of each view, as ``choose_neighbours`` found them.
+        settings: how.
+        workers: threads; their number does not change the result.
+        progress: told how far the work is.
+
+    Returns:
+        For each view depth everywhere; confident where enough neighbours see the same surface.
+
+    Raises:
+        OptionError: not as many maps as poses and neighbours.
+    """
+    if not len(maps) == len(world_from_camera) == len(neighbours):
+        raise OptionError(
+            f"{len(maps)} depth maps, {len(world_from_camera)} poses and {len(neighbours)} lists "
+            "of neighbours do not belong together"
+        )
+    current = tuple(maps)
+    with ThreadPoolExecutor(max_workers=max(1, workers)) as pool:
+        for number in range(ROUNDS):
+            fuse = partial(_fuse_view, current, world_from_camera, neighbours, settings)
+            fused = pool.map(fuse, range(len(current)))
+            current = tuple(progress(fused, f"fuse depth {number + 1}/{ROUNDS}", len(current)))
+        completed = pool.map(complete_depth, current)
+        return tuple(progress(completed, "complete depth", len(current)))
+
+
+def _fuse_view(
+    maps: Sequence[DepthMap],
+    world_from_camera: FloatArray,
+    neighbours: Sequence[IntArray],
+    settings: DepthSettings,
+    view: int,
+) -> DepthMap:
+    return fuse_depth(maps, world_from_camera, view, neighbours[view], settings)
+
+
+def fuse_depth(
+    maps: Sequence[DepthMap],
+    world_from_camera: FloatArray,
+    view: int,
+    neighbours: IntArray,
+    settings: DepthSettings,
+) -> DepthMap:
+    """One view's depth map, corrected by its neighbours' and with its confidence.
+
+    Args:
+        maps: of the N views.
+        world_from_camera: ``(N, 4, 4)``.
+        view: index of the view.
+        neighbours: indices of the views to compare it with.
+        settings: how.
+
+    Returns:
+        Depth everywhere; confident where enough neighbours see the same surface.
+    """
+    own = maps[view]
+    others = [maps[index] for index in neighbours]
+    poses = world_from_camera[neighbours]
+    pinhole, pose = own.intrinsics, world_from_camera[view]
+    to_view = [
+        pixel_map(other.intrinsics, place, pinhole, pose)
+        for other, place in zip(others, poses, strict=True)
+    ]
+    from_view = [
+        pixel_map(pinhole, pose, other.intrinsics, place)
+        for other, place in zip(others, poses, strict=True)
+    ]
+    fused, votes = native.fuse_depth(
+        own.inverse_depth,
+        [other.inverse_depth for other in others],
+        [other.confident for other in others],
+        np.reshape(to_view, (-1, 3, 4)),
+        np.reshape(from_view, (-1, 3, 4)),
+        UNSURE_TRUST,
+        settings.agreement,
+    )
+    supporters = max(1, min(settings.supporters, len(neighbours)))
+    smooth = np.asarray(cv2.medianBlur(fused, 3), dtype=np.float32)
+    return DepthMap(smooth, votes >= supporters, own.intrinsics)
+
+
+def complete_depth(depth_map: DepthMap) -> DepthMap:
+    """Replaces depth that is not confident by that of the surfaces around it.
+
+    Returns:
+        Depth everywhere, unchanged where it is still confident; a map without any confident pixel
+        keeps its depth.
+    """
+    confident = depth_map.confident.astype(np.uint8)
+    known = np.asarray((cv2.medianBlur(confident, SPECK_SIZE) > 0) & depth_map.confident)
+    if not np.any(known):
+        return replace(depth_map, confident=known)
+    carried = native.complete_depth(depth_map.inverse_depth, known)
+    # Single directions leave streaks. A mean would take them away too, and blur the rim.
+    smooth = np.asarray(cv2.medianBlur(carried, MEDIAN_SIZE), dtype=np.float32)
+    completed = np.where(known, depth_map.inverse_depth, smooth)
+    return replace(depth_map, inverse_depth=completed, confident=known)

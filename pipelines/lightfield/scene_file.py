@@ -1,0 +1,290 @@
+"""The scene model on disk: ``scene.h5``.
+
+Layout: ``scene`` (JSON: names, cameras, surface, scale source, provenance), ``timestamps``,
+``camera_index``, ``world_from_camera``, ``bounds``, ``base_from_camera`` where there is one, and a
+dataset a view, ``images/000000`` ..., with the bytes of the photo as recorded. With depth maps
+also, for each view, ``depth/000000/inverse`` (16 bits; times ``depth/000000/scale``: 1 / metres; 0:
+unknown) and ``depth/000000/confident``.
+"""
+
+import hashlib
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipelines.artifacts.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.artifacts.safe_hdf5 import (
+    SafeFile,
+    check_schema,
+    create_hdf5,
+    open_hdf5,
+    write_array,
+    write_json,
+    write_schema,
+)
+from pipelines.dataset.images import image_header
+from pipelines.geometry.camera import Camera
+from pipelines.geometry.plane import Plane, plane_from_coefficients
+from pipelines.lightfield.scene import PlaneEstimate, Scene, SceneDepth
+
+FORMAT = "lfnav scene"
+SCHEMA_VERSION = 1
+MAX_IMAGE_BYTES = 256 * 1024 * 1024
+# What JSON of another structure than expected leads to.
+_MALFORMED = (KeyError, TypeError, ValueError, AttributeError, OverflowError, OptionError)
+
+
+def save_scene(
+    path: Path, scene: Scene, overwrite: bool, provenance: Mapping[str, Any] | None = None
+) -> None:
+    """Writes a scene model, whole or not at all.
+
+    Args:
+        path: the file.
+        scene: the light field.
+        overwrite: whether an existing file may be replaced.
+        provenance: versions, settings and hashes of the inputs; plain JSON types.
+
+    Raises:
+        InputError: the file exists (without ``overwrite``) or cannot be written.
+    """
+    with create_hdf5(path, overwrite) as file:
+        write_schema(file, FORMAT, SCHEMA_VERSION)
+        write_json(file, "scene", {**_description(scene), "provenance": dict(provenance or {})})
+        write_array(file, "timestamps", scene.timestamps)
+        write_array(file, "camera_index", scene.camera_index)
+        write_array(file, "world_from_camera", scene.world_from_camera)
+        write_array(file, "bounds", scene.bounds)
+        if scene.base_from_camera is not None:
+            write_array(file, "base_from_camera", scene.base_from_camera)
+        for index, data in enumerate(scene.encoded_images):
+            write_array(file, f"images/{index:06d}", np.frombuffer(data, dtype=np.uint8))
+        for index, depth in enumerate(scene.depth):
+            levels, scale = quantised(depth.inverse_depth)
+            write_array(file, f"depth/{index:06d}/inverse", levels, compress=True)
+            write_array(file, f"depth/{index:06d}/scale", np.float64(scale))
+            write_array(file, f"depth/{index:06d}/confident", depth.confident, compress=True)
+
+
+def load_scene(path: Path) -> Scene:
+    """Reads a scene model; photos stay encoded until they are used.
+
+    Raises:
+        InputError: missing, not a scene, damaged, of a newer schema, or with contents that
+            contradict each other.
+    """
+    with open_hdf5(path) as file:
+        check_schema(file, FORMAT, SCHEMA_VERSION)
+        description = file.read_json("scene")
+        try:
+            scene = _scene_of(file, description)
+        except _MALFORMED as error:
+            raise InputError(path, f"has contents that are no scene ({error})") from error
+    _check(path, scene)
+    return scene
+
+
+def scene_provenance(path: Path) -> dict[str, Any]:
+    """The provenance stored with a scene model.
+
+    Raises:
+        InputError: as ``load_scene``.
+    """
+    with open_hdf5(path) as file:
+        check_schema(file, FORMAT, SCHEMA_VERSION)
+        description = file.read_json("scene")
+    stored = description.get("provenance", {}) if isinstance(description, dict) else {}
+    return stored if isinstance(stored, dict) else {}
+
+
+def quantised(inverse_depth: Float32Array) -> tuple[NDArray[np.uint16], float]:
+    """Inverse depth in 16 bits, and the factor that turns them back into 1 / metres.
+
+    The factor is a power of two: what was read is written again as the same bytes.
+    """
+    scale = 2.0 ** math.ceil(math.log2(max(float(inverse_depth.max()), 1e-9) / 65535.0))
+    return np.rint(inverse_depth / scale).astype(np.uint16), scale
+
+
+def as_stored(inverse_depth: Float32Array, confident: BoolArray) -> SceneDepth:
+    """A depth map rounded to what the file keeps of it."""
+    levels, scale = quantised(inverse_depth)
+    return SceneDepth((levels * scale).astype(np.float32), confident)
+
+
+def identifier_of(
+    encoded_images: tuple[bytes, ...],
+    cameras: Sequence[Camera],
+    camera_index: IntArray,
+    world_from_camera: FloatArray,
+    surface: PlaneEstimate,
+    base_from_camera: FloatArray | None,
+    depth: Sequence[SceneDepth] = (),
+) -> str:
+    """Hash of all that decides what a scene looks like; names it across files."""
+    digest = hashlib.sha256()
+    for data in encoded_images:
+        digest.update(hashlib.sha256(data).digest())
+    for index in camera_index.tolist():
+        camera = cameras[index]
+        digest.update(f"{camera.model} {camera.width} {camera.height}".encode())
+        digest.update(np.array(camera.params, dtype="<f8").tobytes())
+    digest.update(np.ascontiguousarray(world_from_camera, dtype="<f8").tobytes())
+    digest.update(surface.plane.coefficients().astype("<f8").tobytes())
+    if base_from_camera is not None:
+        digest.update(np.ascontiguousarray(base_from_camera, dtype="<f8").tobytes())
+    for depth_map in depth:
+        digest.update(np.ascontiguousarray(depth_map.inverse_depth, dtype="<f4").tobytes())
+        digest.update(np.ascontiguousarray(depth_map.confident).tobytes())
+    return digest.hexdigest()
+
+
+def _description(scene: Scene) -> dict[str, Any]:
+    return {
+        "image_names": list(scene.image_names),
+        "cameras": [
+            {
+                "model": camera.model,
+                "width": camera.width,
+                "height": camera.height,
+                "params": list(camera.params),
+            }
+            for camera in scene.cameras
+        ],
+        "surface": {
+            "plane": scene.plane.coefficients().tolist(),
+            "offset_sigma": _finite_or_none(scene.surface.offset_sigma),
+            "angle_sigma": _finite_or_none(scene.surface.angle_sigma),
+            "method": scene.surface.method,
+            "quality": scene.surface.quality,
+        },
+        "scale_source": scene.scale_source,
+        "identifier": scene.identifier,
+    }
+
+
+def _scene_of(file: SafeFile, description: Any) -> Scene:
+    names = tuple(str(name) for name in description["image_names"])
+    count = len(names)
+    surface = description["surface"]
+    base_from_camera = None
+    if file.has("base_from_camera"):
+        base_from_camera = file.read_array("base_from_camera", dtype_kind="f", shape=(4, 4))
+    return Scene(
+        image_names=names,
+        encoded_images=tuple(
+            file.read_array(
+                f"images/{index:06d}", dtype_kind="u", shape=(None,), max_bytes=MAX_IMAGE_BYTES
+            ).tobytes()
+            for index in range(count)
+        ),
+        timestamps=file.read_array("timestamps", dtype_kind="f", shape=(count,)),
+        cameras=tuple(
+            Camera(
+                str(camera["model"]),
+                int(camera["width"]),
+                int(camera["height"]),
+                tuple(float(value) for value in camera["params"]),
+            )
+            for camera in description["cameras"]
+        ),
+        camera_index=file.read_array("camera_index", dtype_kind="i", shape=(count,)),
+        world_from_camera=file.read_array("world_from_camera", dtype_kind="f", shape=(count, 4, 4)),
+        surface=PlaneEstimate(
+            _stored_plane(surface["plane"]),
+            _or_infinite(surface["offset_sigma"]),
+            _or_infinite(surface["angle_sigma"]),
+            str(surface["method"]),
+            float(surface["quality"]),
+        ),
+        base_from_camera=base_from_camera,
+        bounds=file.read_array("bounds", dtype_kind="f", shape=(4,)),
+        scale_source=str(description["scale_source"]),
+        identifier=str(description["identifier"]),
+        depth=_depth_of(file, count),
+    )
+
+
+def _depth_of(file: SafeFile, count: int) -> tuple[SceneDepth, ...]:
+    """The depth maps of all views; none where the file has none."""
+    if not file.has("depth"):
+        return ()
+    maps = []
+    for index in range(count):
+        group = f"depth/{index:06d}"
+        levels = file.read_array(f"{group}/inverse", dtype_kind="u", shape=(None, None))
+        confident = file.read_array(f"{group}/confident", dtype_kind="b", shape=levels.shape)
+        scale = float(file.read_array(f"{group}/scale", dtype_kind="f", shape=()))
+        if not (np.isfinite(scale) and scale > 0.0) or levels.size == 0 or not levels.any():
+            raise InputError(file.path, f"{group} holds no depth")
+        maps.append(SceneDepth((levels * scale).astype(np.float32), confident))
+    return tuple(maps)
+
+
+def _stored_plane(coefficients: Any) -> Plane:
+    """The plane exactly as it was stored: normalising again could change its last bit."""
+    normalised = plane_from_coefficients(coefficients)
+    plane = Plane(np.array([float(c) for c in coefficients[:3]]), float(coefficients[3]))
+    if not np.allclose(plane.coefficients(), normalised.coefficients(), rtol=1e-9, atol=1e-12):
+        raise OptionError("the plane's normal is not of unit length")
+    return plane
+
+
+def _check(path: Path, scene: Scene) -> None:
+    """What must hold before a renderer may index into the arrays."""
+    if len(scene) == 0:
+        raise InputError(path, "holds no views")
+    if not scene.cameras or np.any(
+        (scene.camera_index < 0) | (scene.camera_index >= len(scene.cameras))
+    ):
+        raise InputError(path, "names a camera that it does not hold")
+    poses = [scene.world_from_camera]
+    if scene.base_from_camera is not None:
+        poses.append(scene.base_from_camera[None])
+    for pose in poses:
+        if not _are_rigid(pose):
+            raise InputError(path, "holds a pose that is no rigid transform")
+    low_x, high_x, low_y, high_y = scene.bounds
+    if not np.all(np.isfinite(scene.bounds)) or low_x >= high_x or low_y >= high_y:
+        raise InputError(path, "has bounds that enclose no area")
+    for index, data in enumerate(scene.encoded_images):
+        header, camera = image_header(data, path), scene.camera_of(index)
+        if (header.width, header.height) != (camera.width, camera.height):
+            raise InputError(path, f"photo {index} and its camera differ in size")
+    actual = identifier_of(
+        scene.encoded_images,
+        scene.cameras,
+        scene.camera_index,
+        scene.world_from_camera,
+        scene.surface,
+        scene.base_from_camera,
+        scene.depth,
+    )
+    if actual != scene.identifier:
+        raise InputError(path, "was changed after it was written", "make it again")
+
+
+def _are_rigid(poses: FloatArray) -> bool:
+    """Whether all of ``(N, 4, 4)`` are rotations (no reflections) with translations."""
+    if not np.all(np.isfinite(poses)):
+        return False
+    rotation = poses[:, :3, :3]
+    product = rotation @ np.swapaxes(rotation, 1, 2)
+    return bool(
+        np.allclose(product, np.eye(3), atol=1e-4)
+        and np.all(np.linalg.det(rotation) > 0.0)
+        and np.allclose(poses[:, 3], [0.0, 0.0, 0.0, 1.0], atol=1e-9)
+    )
+
+
+def _finite_or_none(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def _or_infinite(value: float | None) -> float:
+    return float("inf") if value is None else float(value)

@@ -1,0 +1,92 @@
+"""Photos that a light field does not hold, each with the light field that it is held against."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import scipy
+
+from pipelines.artifacts.arrays import BoolArray, FloatArray, ImageArray
+from pipelines.artifacts.errors import InputError
+from pipelines.dataset.dataset import CAMERA_FILE, GROUNDTRUTH_FILE, Dataset, poses_at_images
+from pipelines.geometry.camera import Intrinsics, Undistorter
+from pipelines.geometry.trajectory import read_tum
+from pipelines.lightfield.scene import Scene
+from pipelines.lightfield.views import Views, without_view
+
+# Recording positions that leave a plane (or a line) by less than this share of their extent lie in
+# it; those nearer to the border of their hull lie on it.
+FLATNESS = 0.02
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """A photo that a light field does not hold, where it was taken, and the light field.
+
+    Attributes:
+        image: ``(H, W, 3)`` RGB, undistorted.
+        intrinsics: of its camera.
+        world_from_camera: ``(4, 4)``.
+        views: the light field.
+    """
+
+    image: ImageArray
+    intrinsics: Intrinsics
+    world_from_camera: FloatArray
+    views: Views
+
+
+def views_one_by_one(scene: Scene, views: Views, chosen: Sequence[int]) -> Iterator[HeldOut]:
+    """The chosen views of a scene, each with the light field of all others."""
+    for index in chosen:
+        yield HeldOut(
+            np.ascontiguousarray(views.level(index, 0)),
+            views.intrinsics[index],
+            scene.world_from_camera[index],
+            without_view(views, index),
+        )
+
+
+def photos_of_dataset(dataset: Dataset, poses: Path | None, views: Views) -> Iterator[HeldOut]:
+    """The photos of a data set, at the poses of a TUM file or of its ground truth.
+
+    Raises:
+        InputError: the data set has no camera, no poses, or cannot be read.
+    """
+    if dataset.camera is None:
+        raise InputError(dataset.root / CAMERA_FILE, "is missing: the photos' camera must be known")
+    source = dataset.root / GROUNDTRUTH_FILE if poses is None else poses
+    trajectory = dataset.groundtruth if poses is None else read_tum(poses)
+    if trajectory is None:
+        raise InputError(source, "is missing: poses are needed to render at", "--poses")
+    camera_poses = poses_at_images(dataset, trajectory, source) @ dataset.body_from_camera
+    undistorter = Undistorter(dataset.camera)
+    for index, pose in enumerate(camera_poses):
+        image = undistorter(dataset.read_image(index))
+        yield HeldOut(image, undistorter.intrinsics, pose, views)
+
+
+def lie_amid_others(centres: FloatArray) -> BoolArray:
+    """Which recording positions lie amid the others: ``(N,)``, inside the hull of all.
+
+    The hull is taken in the line, plane or space over which the positions spread. A light field has
+    to invent what lies outside of it.
+    """
+    offsets = centres - centres.mean(axis=0)
+    _, _, axes = np.linalg.svd(offsets, full_matrices=True)
+    places = offsets @ axes.T
+    extent = np.ptp(places, axis=0)
+    if extent[0] == 0.0:
+        return np.zeros(len(centres), dtype=bool)
+    places = places[:, extent > FLATNESS * extent[0]]
+    margin = FLATNESS * extent[0]
+    if places.shape[1] == 1:
+        line = places[:, 0]
+        return np.asarray((line > line.min() + margin) & (line < line.max() - margin))
+    try:
+        facets = scipy.spatial.ConvexHull(places).equations
+    except scipy.spatial.QhullError:
+        return np.zeros(len(centres), dtype=bool)
+    outside = places @ facets[:, :-1].T + facets[:, -1]
+    return np.asarray(outside.max(axis=1) < -margin)

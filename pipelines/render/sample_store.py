@@ -1,0 +1,74 @@
+"""Samples of depth maps that are kept from one call to the next."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from pipelines.artifacts.arrays import BoolArray, FloatArray
+from pipelines.lightfield.views import ViewArrays
+from pipelines.render.surface import PIXEL_PARTS, sample_steps
+
+# So many samples are kept at most, of twelve bytes each; of large light fields one for so many
+# depths, which take four bytes each.
+MOST_SAMPLES, DEPTHS_A_SAMPLE = 1 << 22, 8
+
+Samples = TypeVar("Samples")
+
+
+@dataclass(frozen=True)
+class _Kept(Generic[Samples]):
+    """Samples of the views ``is_source`` ``(N,)``, at most ``count`` ones."""
+
+    is_source: BoolArray
+    samples: Samples
+    count: int
+
+
+class SampleStore(Generic[Samples]):
+    """Samples of a light field's depth maps, taken when they are asked for first.
+
+    While a camera moves on, its surface is made of the same depth maps again and again. What was
+    handed out does not change, so that threads may share a store.
+
+    Args:
+        views: the light field.
+        take: takes the samples of some views ``(N,)``, for steps ``(N,)`` from one to the next in
+            pixels of the depth maps.
+    """
+
+    def __init__(self, views: ViewArrays, take: Callable[[BoolArray, FloatArray], Samples]) -> None:
+        self._views, self._take = views, take
+        self._most = max(MOST_SAMPLES, len(views.inverse_depth) // DEPTHS_A_SAMPLE)
+        self._kept: dict[tuple[float, float], _Kept[Samples]] = {}
+
+    def __call__(self, is_source: BoolArray, focal: float, spacing: float) -> Samples:
+        """Samples of some views at least.
+
+        Args:
+            is_source: ``(N,)`` which views.
+            focal: of the virtual camera, pixels.
+            spacing: of the surface's vertices, virtual pixels.
+        """
+        kind = (focal, spacing)
+        kept = self._kept.get(kind)
+        if kept is not None and not (is_source & ~kept.is_source).any():
+            return kept.samples
+        steps = sample_steps(self._views, focal, spacing)
+        counts = (-(-PIXEL_PARTS * self._views.depth_size // steps[:, None])).prod(axis=1)
+        wanted = is_source if kept is None else is_source | kept.is_source
+        if counts[wanted].sum() > self._most:
+            wanted = is_source
+        found = self._take(wanted, steps / PIXEL_PARTS)
+        self._keep(kind, _Kept(wanted, found, int(counts[wanted].sum())))
+        return found
+
+    def _keep(self, kind: tuple[float, float], found: _Kept[Samples]) -> None:
+        """Keeps samples, and of older ones the latest that fit in beside them."""
+        if found.count > self._most:
+            return
+        kept, room = {kind: found}, self._most - found.count
+        for other, older in reversed(self._kept.items()):
+            if other != kind and older.count <= room:
+                kept[other] = older
+                room -= older.count
+        self._kept = dict(reversed(kept.items()))

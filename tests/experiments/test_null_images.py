@@ -1,0 +1,110 @@
+"""Drives whose images are no views of the place: what they show, and who knows where they are."""
+
+import runpy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipelines.artifacts.stages import no_progress
+from pipelines.dataset.dataset import Dataset, load_dataset
+from pipelines.experiments.null_images import RECORD, troubles, write_troubles
+from tests.chain_samples import ELEVATORS, first_frames
+
+ROOT = Path(__file__).parents[2]
+ELSEWHERE = ("mirrored", "upside-down", "negative", "noise", "grey", "ramp", "stripes")
+FRAMES = 10
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    folder = tmp_path_factory.mktemp("recorded") / "drive"
+    return load_dataset(first_frames(ELEVATORS / "test", folder, FRAMES))
+
+
+@pytest.fixture(scope="module")
+def drives(recorded: Dataset, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Dataset]:
+    output = tmp_path_factory.mktemp("troubles") / "made"
+    paths = write_troubles(recorded.root, output, seed=3, overwrite=False, progress=no_progress)
+    assert (output / RECORD).is_file()
+    return {path.name: load_dataset(path) for path in paths}
+
+
+def test_all_have_the_drives_odometry_and_camera(
+    recorded: Dataset, drives: dict[str, Dataset]
+) -> None:
+    assert tuple(drives) == ("frozen", *ELSEWHERE)
+    for drive in drives.values():
+        assert drive.camera == recorded.camera
+        assert np.array_equal(drive.timestamps, recorded.timestamps)
+        assert drive.odometry is not None
+        assert recorded.odometry is not None
+        assert np.allclose(drive.odometry.poses, recorded.odometry.poses[:FRAMES], atol=1e-9)
+        assert (drive.root / "odometry_perturbed.txt").is_file()
+
+
+def test_images_that_show_no_place_have_no_true_pose(drives: dict[str, Dataset]) -> None:
+    assert all(drives[name].groundtruth is None for name in ELSEWHERE)
+
+
+def test_a_frozen_camera_repeats_an_image_while_the_robot_drives_on(
+    recorded: Dataset, drives: dict[str, Dataset]
+) -> None:
+    frozen = drives["frozen"]
+    shown = (0, 1, 1, 1, 1, 1, 1, 1, 8, 9)
+    for number, source in enumerate(shown):
+        assert frozen.read_image_bytes(number) == recorded.read_image_bytes(source)
+    assert frozen.groundtruth is not None
+    assert recorded.groundtruth is not None
+    assert np.allclose(frozen.groundtruth.poses, recorded.groundtruth.poses[:FRAMES], atol=1e-9)
+    # As in a drive of twenty frames: 6 is shown in the place of 7 to 12.
+    assert troubles(20)[0].shown == (*range(7), *(6,) * 6, *range(13, 20))
+
+
+def test_images_are_altered_as_they_say(recorded: Dataset, drives: dict[str, Dataset]) -> None:
+    for number in (0, FRAMES - 1):
+        before = recorded.read_image(number)
+        after = {name: drives[name].read_image(number) for name in ELSEWHERE}
+        assert np.array_equal(after["mirrored"], before[:, ::-1])
+        assert np.array_equal(after["upside-down"], before[::-1, ::-1])
+        assert np.array_equal(after["negative"].astype(int), 255 - before.astype(int))
+        assert np.unique(after["grey"]).tolist() == [128]
+        # Uniform from 0 to 255, each pixel for itself.
+        noise = after["noise"].astype(float)
+        assert noise.std() == pytest.approx(255 / np.sqrt(12), rel=0.01)
+        assert abs(np.corrcoef(noise[:, 1:].ravel(), noise[:, :-1].ravel())[0, 1]) < 0.01
+        ramp = after["ramp"].astype(float)
+        assert (ramp.min(), ramp.max()) == (40.0, 215.0)
+        assert np.abs(np.diff(ramp[..., 0], axis=0)).max() <= 2.0
+        assert np.abs(np.diff(ramp[..., 0], axis=1)).max() <= 2.0
+        assert np.unique(after["stripes"]).tolist() == [60, 195]
+
+
+def test_each_image_draws_for_itself_and_a_seed_gives_the_same(
+    recorded: Dataset, drives: dict[str, Dataset], tmp_path: Path
+) -> None:
+    for name in ("noise", "ramp", "stripes"):
+        assert drives[name].read_image_bytes(0) != drives[name].read_image_bytes(1)
+    for seed, same in ((3, True), (4, False)):
+        write_troubles(
+            recorded.root, tmp_path / "again", seed=seed, overwrite=True, progress=no_progress
+        )
+        for name in ("noise", "ramp", "stripes"):
+            again = load_dataset(tmp_path / "again" / name).read_image_bytes(2)
+            assert (again == drives[name].read_image_bytes(2)) is same
+
+
+def test_the_script_says_what_it_made_and_what_is_wrong(
+    recorded: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    script: dict[str, Any] = runpy.run_path(str(ROOT / "experiments/troubles.py"))
+    output = tmp_path / "out"
+    assert script["main"]([str(recorded.root), "-o", str(output)]) == 0
+    assert capsys.readouterr().out.splitlines()[0] == str(output / "frozen")
+    short = first_frames(ELEVATORS / "test", tmp_path / "short", 7)
+    assert script["main"]([str(short), "-o", str(tmp_path / "no")]) == 1
+    assert "has 7 frames, fewer than 8; give a longer drive" in capsys.readouterr().err
+    assert script["main"]([str(recorded.root), "-o", str(tmp_path / "no"), "--seed=-1"]) == 1
+    assert capsys.readouterr().err == "troubles.py: seed -1 is negative\n"
+    assert not (tmp_path / "no").exists()

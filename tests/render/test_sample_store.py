@@ -1,0 +1,89 @@
+"""Samples of depth maps that are kept: the same as fresh ones, and not too many."""
+
+import numpy as np
+import pytest
+
+from pipelines.artifacts.arrays import BoolArray, FloatArray
+from pipelines.lightfield.views import Views, build_views
+from pipelines.render import sample_store
+from pipelines.render.renderer import Renderer
+from pipelines.render.sample_store import SampleStore
+from pipelines.render.surface import Quality
+from tests.lightfield_samples import WALL, looking, noise_views, pinhole
+
+CAMERA = pinhole(24, 18, 20.0)
+FOCAL, SPACING = 20.0, 3.0
+
+
+def views_with_depth() -> Views:
+    """Six photos with depth maps of different sizes, gaps in them."""
+    generator = np.random.default_rng(0)
+    poses = [looking([x, -3.0, 1.0], [x, 0.0, 1.0]) for x in np.linspace(-2.0, 2.0, 6)]
+    plain = noise_views(poses, generator)
+    depths = []
+    for number in range(len(plain)):
+        shape = (20 + 7 * number, 30 + 5 * number)
+        known = generator.uniform(size=shape) > 0.2
+        depths.append((known / generator.uniform(2.8, 3.2, shape)).astype(np.float32))
+    images = [plain.level(number, 0) for number in range(len(plain))]
+    return build_views(images, plain.intrinsics, np.stack(poses), depths)
+
+
+VIEWS = views_with_depth()
+
+
+def marked(*views: int) -> BoolArray:
+    """Which of the six views."""
+    result = np.zeros(len(VIEWS), np.bool_)
+    result[list(views)] = True
+    return result
+
+
+def store() -> SampleStore[tuple[BoolArray, FloatArray]]:
+    """A store of samples that are named by the views they are of and their steps."""
+    return SampleStore(VIEWS.arrays, lambda views, steps: (views.copy(), steps))
+
+
+def test_views_are_added_to_what_is_kept() -> None:
+    kept = store()
+    first = kept(marked(1, 4), FOCAL, SPACING)
+    assert kept(marked(4), FOCAL, SPACING) is first
+    more = kept(marked(2), FOCAL, SPACING)
+    np.testing.assert_array_equal(more[0], marked(1, 2, 4))
+    assert kept(marked(1, 2, 4), FOCAL, SPACING) is more
+    # Other vertices, other samples.
+    np.testing.assert_allclose(kept(marked(1), FOCAL, 9.0)[1] / more[1], 3.0, rtol=0.01)
+
+
+def test_no_more_is_kept_than_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    views = VIEWS.arrays
+    renderer = Renderer(VIEWS, WALL, quality=Quality.FINE, threads=1)
+    one, three = (
+        renderer._native._light_field.depth_samples(marked(*some), np.ones(6)).count()
+        for some in ((1,), (3, 4, 5))
+    )
+    monkeypatch.setattr(sample_store, "MOST_SAMPLES", int(1.5 * one))
+    monkeypatch.setattr(sample_store, "DEPTHS_A_SAMPLE", 1000)
+    kept = store()
+    first = kept(marked(1), FOCAL, 0.1)
+    assert one > 0.7 * views.depth_size[1].prod()
+    assert three > 1.5 * one
+    assert kept(marked(1), FOCAL, 0.1) is first
+    large = kept(marked(3, 4, 5), FOCAL, 0.1)
+    np.testing.assert_array_equal(large[0], marked(3, 4, 5))
+    assert kept(marked(3, 4, 5), FOCAL, 0.1) is not large
+    assert kept(marked(1), FOCAL, 0.1) is first
+    # Of two that are too much together the later one stays.
+    other = kept(marked(1), FOCAL, 0.2)
+    assert kept(marked(1), FOCAL, 0.2) is other
+    assert kept(marked(1), FOCAL, 0.1) is not first
+
+
+def test_costs_do_not_depend_on_what_was_asked_before() -> None:
+    poses = np.stack([looking([x, -2.5, 1.0], [x, 0.0, 1.0]) for x in np.linspace(-1.5, 1.5, 9)])
+    renderer = Renderer(VIEWS, WALL, quality=Quality.MEDIUM, threads=1)
+    together, _ = renderer.render_many(poses, CAMERA)
+    for pose, image in zip(poses, together, strict=True):
+        alone = Renderer(VIEWS, WALL, quality=Quality.MEDIUM, threads=1)
+        np.testing.assert_array_equal(alone.render_many(pose[None], CAMERA)[0][0], image)
+        np.testing.assert_array_equal(renderer.render_many(pose[None], CAMERA)[0][0], image)
