@@ -24,6 +24,7 @@ import cv2
 import numpy as np
 
 from pipelines.artifacts.array_types import BoolArray, Float32Array, ImageArray
+from pipelines.lightfield.devices import in_threads
 from pipelines.lightfield.views import Views
 
 # Side of the neighbourhood, pixels.
@@ -143,7 +144,8 @@ def views_in_channels(views: Views, channels: Channels) -> Views:
         return views
     arrays = views.arrays
     texels = arrays.texels.copy()
-    for view in range(len(views)):
+
+    def replace_colours(view: int) -> None:
         for level, start in enumerate(arrays.level_start[view]):
             # Views with fewer levels repeat their last one.
             if level > 0 and start == arrays.level_start[view, level - 1]:
@@ -151,4 +153,7 @@ def views_in_channels(views: Views, channels: Channels) -> Views:
             width, height = arrays.level_size[view, level]
             made = np.rint(channel_image(views.level(view, level), channels))
             texels[start : start + width * height, :3] = made.reshape(-1, 3)
+
+    # Exhausted, so that errors are raised here.
+    list(in_threads(replace_colours, range(len(views))))
     return Views(arrays._replace(texels=texels), views.intrinsics)

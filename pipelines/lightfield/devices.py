@@ -5,8 +5,10 @@ Nothing here loads a graphics library before one is asked for.
 
 import logging
 import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from pipelines.artifacts.errors import OptionError
 
@@ -14,6 +16,9 @@ if TYPE_CHECKING:
     from pipelines.lightfield.gpu_device import Gpu
 
 logger = logging.getLogger(__name__)
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 INSTALL = 'pip install "lfnav[gpu]"'
 
@@ -29,6 +34,23 @@ class Device(StrEnum):
     AUTO = "auto"
     CPU = "cpu"
     GPU = "gpu"
+
+
+def in_threads(
+    work: Callable[[Item], Result], items: Sequence[Item], threads: int | None = None
+) -> Iterator[Result]:
+    """Yields what ``work`` makes of each item, in order, done by so many threads at once.
+
+    It pays for work that OpenCV, Pillow, the C++ core or NumPy do on arrays of some size: meanwhile
+    they let other threads run.
+
+    Args:
+        work: raises what is raised here.
+        items: what to work on.
+        threads: None: one a processor.
+    """
+    with ThreadPoolExecutor(threads or processor_count()) as pool:
+        yield from pool.map(work, items)
 
 
 def processor_count() -> int:

@@ -16,7 +16,6 @@ Pixels that show next to nothing earn little where they fit: a blank wall fits e
 all of its pixels or in none.
 """
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
@@ -33,6 +32,7 @@ from pipelines.lightfield.comparison import (
     pixel_strength,
     sum_of_channels,
 )
+from pipelines.lightfield.devices import in_threads
 from pipelines.lightfield.renderer import Renderer
 from pipelines.lightfield.views import Views, area_average
 
@@ -104,8 +104,8 @@ def learn_evidence(
         return _LeftOut(pixel_strength(image).reshape(-1), bins[:1], bins[1:])
 
     # A photo a thread: their statistics are work for one processor, too.
-    with ThreadPoolExecutor(renderer.threads) as pool:
-        return _pixel_evidence(list(pool.map(left_out, chosen.tolist() if count > 1 else [])))
+    photos = in_threads(left_out, chosen.tolist() if count > 1 else [], renderer.threads)
+    return _pixel_evidence(list(photos))
 
 
 def _poses(views: Views) -> FloatArray:

@@ -16,6 +16,7 @@ from pipelines.artifacts.array_types import Float32Array, FloatArray, ImageArray
 from pipelines.artifacts.progress import Progress, no_progress
 from pipelines.geometry.camera import Camera, Intrinsics, Undistorter
 from pipelines.geometry.pose import inverse
+from pipelines.lightfield.devices import in_threads
 from pipelines.lightfield.scene import Scene
 
 SMALLEST_LEVEL_SIDE = 8
@@ -134,7 +135,7 @@ def build_views(
 
 def _packed_pyramids(images: Sequence[ImageArray]) -> tuple[ImageArray, IntArray, IntArray]:
     """Texels, starts and sizes of all levels of all images; see ``ViewArrays``."""
-    pyramids = [_pyramid(image) for image in images]
+    pyramids = list(in_threads(_pyramid, images))
     level_count = max(len(pyramid) for pyramid in pyramids)
     level_start = np.zeros((len(pyramids), level_count), dtype=np.int64)
     level_size = np.zeros((len(pyramids), level_count, 2), dtype=np.int64)
@@ -230,14 +231,13 @@ def views_of_scene(
         progress: shown while decoding.
     """
     undistorters = [Undistorter(camera) for camera in scene.cameras]
-    images, intrinsics = [], []
-    for index in progress(range(len(scene)), "decode views", len(scene)):
+
+    def view(index: int) -> tuple[ImageArray, Intrinsics]:
         undistorter = undistorters[int(scene.camera_index[index])]
-        image, pinhole = shrink(
-            undistorter(scene.image(index)), undistorter.intrinsics, largest_side
-        )
-        images.append(image)
-        intrinsics.append(pinhole)
+        return shrink(undistorter(scene.image(index)), undistorter.intrinsics, largest_side)
+
+    found = progress(in_threads(view, range(len(scene))), "decode views", len(scene))
+    images, intrinsics = zip(*found, strict=True)
     depths = [_shrunk_depth(depth.inverse_depth, largest_side) for depth in scene.depth]
     return build_views(images, intrinsics, scene.world_from_camera, depths or None)
 
