@@ -23,14 +23,14 @@ import numpy as np
 
 # Where these modules were in older revisions.
 BEFORE = {
-    "pipelines.artifacts.stages": "pipelines.artifacts.progress",
-    "pipelines.lightfield.scene_file": "pipelines.lightfield.bundle",
-    "pipelines.lightfield.stereo_depth": "pipelines.lightfield.depth",
-    "pipelines.localize.alignment": "pipelines.localize.refinement",
-    "pipelines.render.blending": "pipelines.lightfield.blending",
-    "pipelines.render.devices": "pipelines.lightfield.devices",
-    "pipelines.render.renderer": "pipelines.lightfield.renderer",
-    "pipelines.render.surface": "pipelines.lightfield.proxy",
+    "pipelines.artifacts.stages": "pipelines.artifacts.stages",
+    "pipelines.lightfield.scene_file": "pipelines.lightfield.scene_file",
+    "pipelines.lightfield.stereo_depth": "pipelines.lightfield.stereo_depth",
+    "pipelines.localize.alignment": "pipelines.localize.alignment",
+    "pipelines.render.blending": "pipelines.render.blending",
+    "pipelines.render.devices": "pipelines.render.devices",
+    "pipelines.render.renderer": "pipelines.render.renderer",
+    "pipelines.render.surface": "pipelines.render.surface",
 }
 if importlib.util.find_spec("pipelines.render") is None:
     sys.modules |= {name: importlib.import_module(before) for name, before in BEFORE.items()}

@@ -14,15 +14,36 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeVar
 
 import pipelines
 from pipelines.artifacts.errors import StageError
 
 QUOTED_CHARACTERS = 300
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
 PR_SET_PDEATHSIG = 1  # from linux/prctl.h
+
+
+def in_threads(
+    work: Callable[[Item], Result], items: Sequence[Item], threads: int | None = None
+) -> Iterator[Result]:
+    """Yields what ``work`` makes of each item, in order, done by so many threads at once.
+
+    It pays for work that OpenCV, Pillow, the C++ core or NumPy do on arrays of some size: meanwhile
+    they let other threads run.
+
+    Args:
+        work: raises what is raised here.
+        items: what to work on.
+        threads: None: one a processor.
+    """
+    with ThreadPoolExecutor(threads or processor_count()) as pool:
+        yield from pool.map(work, items)
 
 
 def processor_count() -> int:

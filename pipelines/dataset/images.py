@@ -105,7 +105,8 @@ def decode_image(data: bytes, name: Path | str) -> ImageArray:
         return np.repeat(grey[:, :, None], 3, axis=2)
     if image.mode == "P":
         image = image.convert("RGBA")
-    return np.array(image.convert("RGB"), dtype=np.uint8)
+    # Pillow would convert what is RGB already into a copy.
+    return np.array(image if image.mode == "RGB" else image.convert("RGB"), dtype=np.uint8)
 
 
 def decode_depth(data: bytes, name: Path | str) -> NDArray[np.uint16]:

@@ -7,6 +7,7 @@ z up); cameras follow OpenCV and COLMAP (x right, y down, z forward). Angles are
 counter-clockwise about z, in (-pi, pi].
 """
 
+import math
 import warnings
 
 import numpy as np
@@ -47,9 +48,26 @@ def pose_from_quaternion(translation: ArrayLike, quaternion_xyzw: ArrayLike) -> 
     Returns:
         ``(..., 4, 4)`` homogeneous matrices.
     """
-    quaternion = np.asarray(quaternion_xyzw, dtype=np.float64)
-    rotation = scipy.spatial.transform.Rotation.from_quat(quaternion.reshape(-1, 4)).as_matrix()
-    return pose_from_rotation(rotation.reshape(*quaternion.shape[:-1], 3, 3), translation)
+    x, y, z, w = np.moveaxis(np.asarray(quaternion_xyzw, dtype=np.float64), -1, 0)
+    length = np.sqrt(x * x + y * y + z * z + w * w)
+    return pose_from_rotation(
+        _rotation_of_unit(x / length, y / length, z / length, w / length), translation
+    )
+
+
+def _rotation_of_unit(x: ArrayLike, y: ArrayLike, z: ArrayLike, w: ArrayLike) -> FloatArray:
+    """Rotation matrices ``(..., 3, 3)`` of unit quaternions, whose parts have shape ``(...)``.
+
+    Written out, as is ``_turned_about_axes``: what every start needs does not wait for SciPy, whose
+    transforms take 0.2 s to load.
+    """
+    x, y, z, w = (np.asarray(part, dtype=np.float64) for part in (x, y, z, w))
+    rows = [
+        [x * x - y * y - z * z + w * w, 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+        [2.0 * (x * y + z * w), -x * x + y * y - z * z + w * w, 2.0 * (y * z - x * w)],
+        [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), -x * x - y * y + z * z + w * w],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def quaternion_of(pose: FloatArray) -> FloatArray:
@@ -124,10 +142,18 @@ def base_from_camera_mount(position: ArrayLike, roll_pitch_yaw_deg: ArrayLike) -
     Returns:
         ``base_from_camera``, ``(4, 4)``.
     """
-    turn = scipy.spatial.transform.Rotation.from_euler(
-        "xyz", np.asarray(roll_pitch_yaw_deg, np.float64), degrees=True
+    angles = np.radians(np.asarray(roll_pitch_yaw_deg, dtype=np.float64)).tolist()
+    return pose_from_rotation(_turned_about_axes(*angles) @ BASE_FROM_FORWARD_CAMERA, position)
+
+
+def _turned_about_axes(roll: float, pitch: float, yaw: float) -> FloatArray:
+    """The rotation ``(3, 3)`` about the fixed x, y and z axes, in this order; radians."""
+    (sx, cx), (sy, cy), (sz, cz) = (
+        (math.sin(0.5 * angle), math.cos(0.5 * angle)) for angle in (roll, pitch, yaw)
     )
-    return pose_from_rotation(turn.as_matrix() @ BASE_FROM_FORWARD_CAMERA, position)
+    # The product of three quaternions, the first two of which make these.
+    x, y, z, w = cy * sx, sy * cx, -sy * sx, cy * cx
+    return _rotation_of_unit(cz * x - sz * y, cz * y + sz * x, cz * z + sz * w, cz * w - sz * z)
 
 
 def mount_of(base_from_camera: FloatArray) -> tuple[FloatArray, FloatArray]:

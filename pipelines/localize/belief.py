@@ -63,6 +63,21 @@ class Belief:
         return np.exp(self.log_weights)
 
 
+def log_sum(log_values: FloatArray) -> FloatArray:
+    """Logarithm of the sum of exponentials along the first axis: ``(M, ...)`` to ``(...)``.
+
+    The largest ones are kept out of the sum: what is added to them does not round (Blanchard,
+    Higham, Higham 2021, "Accurately computing the log-sum-exp and softmax functions"). -inf adds
+    nothing. SciPy has the same function, but takes 0.2 s to load.
+    """
+    largest = log_values.max(axis=0, keepdims=True)
+    is_largest = log_values == largest
+    shift = np.where(np.isfinite(largest), largest, 0.0)
+    others = np.exp(np.where(is_largest, -np.inf, log_values - shift)).sum(axis=0)
+    count = is_largest.sum(axis=0)
+    return np.asarray(np.log1p(others / count) + np.log(count) + largest[0], dtype=np.float64)
+
+
 def normalise_log_weights(log_weights: ArrayLike) -> tuple[FloatArray, bool]:
     """Log-weights shifted so that the weights add up to 1.
 

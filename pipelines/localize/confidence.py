@@ -7,9 +7,9 @@ second is how much of the estimate's normal distribution lies within the bounds.
 
 import functools
 import math
+from statistics import NormalDist
 
 import numpy as np
-import scipy
 
 from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import OptionError
@@ -56,4 +56,6 @@ def _normal_points(dimension: int) -> FloatArray:
     """``(POINTS, dimension)`` evenly spread by a standard normal distribution; not changed."""
     # The sequence's first number is 0, which no normal distribution has.
     columns = [radical_inverses(POINTS + 1, base)[1:] for base in BASES[:dimension]]
-    return np.asarray(scipy.special.ndtri(np.stack(columns, axis=1)))
+    quantile = NormalDist().inv_cdf
+    points = np.stack(columns, axis=1)
+    return np.array([quantile(share) for share in points.flat]).reshape(points.shape)

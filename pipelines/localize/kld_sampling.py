@@ -1,9 +1,9 @@
 """How many particles, and how far apart: what keeps a shrinking particle set from collapsing."""
 
 import math
+from statistics import NormalDist
 
 import numpy as np
-import scipy
 
 from pipelines.artifacts.arrays import FloatArray
 from pipelines.localize.belief import Belief
@@ -27,7 +27,7 @@ def kld_count(occupied_cells: int) -> int:
         return 1
     degrees = occupied_cells - 1.0
     spread = 2.0 / (9.0 * degrees)
-    quantile = float(scipy.special.ndtri(KLD_QUANTILE))
+    quantile = NormalDist().inv_cdf(KLD_QUANTILE)
     bracket = 1.0 - spread + math.sqrt(spread) * quantile
     return math.ceil(degrees / (2.0 * KLD_ERROR) * bracket**3)
 

@@ -95,6 +95,9 @@ class Localizer:
         if model is None:
             model = MeasurementModel.of_scene(scene, body_from_camera, settings)
         self._model = model
+        if settings.refine_width > 0 and model.renderer.threads > 1:
+            # A body that is followed needs all of them: they are learnt while it is looked for.
+            model.learn_pixels(self._alignment_widths)
         region = region_of(scene, settings)
         views = scene.world_from_camera
         self._strategy = _strategy(self._model, region, views, settings, rng)

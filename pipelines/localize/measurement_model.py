@@ -7,6 +7,7 @@ map at all, whichever likelihood weighs the particles.
 """
 
 from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
@@ -61,7 +62,8 @@ class MeasurementModel:
         self._renderers = renderers
         absolute = likelihood if likelihood.cost is Cost.EVIDENCE else LIKELIHOODS["evidence"]
         self._absolute = absolute
-        self._pixels: dict[int, PixelEvidence] = {}
+        self._learner = ThreadPoolExecutor(1)
+        self._pixels: dict[int, Future[PixelEvidence]] = {}
         distances = self.renderer.plane.signed_distance(colours.centres)
         usual = float(np.median(distances[distances > 0.0])) if np.any(distances > 0.0) else 0.0
         self._least_distance = usual / VIEW_RESOLUTION_FACTOR
@@ -215,10 +217,17 @@ class MeasurementModel:
         return float(compressed(mean))
 
     def pixels(self, width: int) -> PixelEvidence:
-        """What differences say in images of this width; learnt when it is first needed."""
-        if width not in self._pixels:
-            self._pixels[width] = learn_evidence(self._colours, self.channels, width, self.renderer)
-        return self._pixels[width]
+        """What differences say in images of this width; learnt once."""
+        self.learn_pixels([width])
+        return self._pixels[width].result()
+
+    def learn_pixels(self, widths: Sequence[int]) -> None:
+        """Begins to learn what differences say in images of these widths, and does not wait."""
+        for width in widths:
+            if width not in self._pixels:
+                self._pixels[width] = self._learner.submit(
+                    learn_evidence, self._colours, self.channels, width, self.renderer
+                )
 
     def aligned(
         self,

@@ -13,9 +13,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 
 from pipelines.artifacts.arrays import FloatArray
+from pipelines.localize.belief import log_sum
 from pipelines.localize.state_space import StateSpace
 
 
@@ -61,4 +61,4 @@ class Proposal:
                 - float(np.log(np.diag(factor)).sum())
                 - constant
             )
-        return np.asarray(scipy.special.logsumexp(terms, axis=0), dtype=np.float64)
+        return log_sum(terms)

@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from pipelines.artifacts.arrays import Float32Array, FloatArray, IntArray
+from pipelines.artifacts.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.pose import inverse
 from pipelines.localize.belief import Region, radical_inverses
@@ -41,12 +41,14 @@ class RetrievalIndex:
         thumbnails: ``(N, 3 H W)`` channels less their zero, tile by tile; 0 where uncovered.
         order: ``(H W,)`` pixels in the order in which they are kept.
         starts: ``(T + 1,)`` where in that order the tiles begin.
+        energies: ``(T, N)`` squares of a tile's numbers, summed up.
     """
 
     states: FloatArray
     thumbnails: Float32Array
     order: IntArray
     starts: IntArray
+    energies: Float32Array
 
     def scores(self, observation: Observation) -> FloatArray:
         """How alike the views are to an image in the same channels ``(N,)``; higher is better."""
@@ -54,11 +56,13 @@ class RetrievalIndex:
         used = np.isfinite(query[:, 0])
         query = np.where(used[:, None], query, np.float32(0.0))
         total = np.zeros(len(self.states))
-        for first, end in pairwise(self.starts):
+        for tile, (first, end) in enumerate(pairwise(self.starts)):
             part = query[first:end].reshape(-1)
             thumbnails = self.thumbnails[:, 3 * first : 3 * end]
             energy = float(part @ part)
-            energies = thumbnails**2 @ np.repeat(used[first:end], 3).astype(np.float32)
+            energies = self.energies[tile]
+            if not used[first:end].all():
+                energies = _energies(thumbnails, used[first:end])
             floor = FAINT**2 * 3.0 * max(float(used[first:end].sum()), 1.0)
             total += energy * (thumbnails @ part) / np.sqrt(energies * energy + floor**2)
         return total
@@ -78,8 +82,17 @@ def build_index(
     images[~covered] = 0.0
     order, starts = _tiles(intrinsics)
     # np.take leaves the states in their place in memory, indexing would not.
-    flat = np.take(images.reshape(len(states), -1, 3), order, axis=1)
-    return RetrievalIndex(states, flat.reshape(len(states), -1), order, starts)
+    flat = np.take(images.reshape(len(states), -1, 3), order, axis=1).reshape(len(states), -1)
+    energies = [
+        _energies(flat[:, 3 * first : 3 * end], np.ones(end - first, dtype=np.bool_))
+        for first, end in pairwise(starts)
+    ]
+    return RetrievalIndex(states, flat, order, starts, np.stack(energies))
+
+
+def _energies(thumbnails: Float32Array, used: BoolArray) -> Float32Array:
+    """Squares ``(N,)`` of one tile's numbers ``(N, 3 P)``, summed up over its used pixels."""
+    return np.asarray(thumbnails**2 @ np.repeat(used, 3).astype(np.float32), dtype=np.float32)
 
 
 def _tiles(intrinsics: Intrinsics) -> tuple[IntArray, IntArray]:

@@ -24,6 +24,7 @@ import cv2
 import numpy as np
 
 from pipelines.artifacts.arrays import BoolArray, Float32Array, ImageArray
+from pipelines.artifacts.processes import in_threads
 from pipelines.lightfield.views import Views
 
 # Side of the neighbourhood, pixels.
@@ -36,6 +37,8 @@ SMALLEST_BRIGHTNESS = 8.0
 COLOURFULNESS = 4.0
 # The channels' zero, and how much a spread of one is, as bytes.
 ZERO, SCALE = 128.0, 40.0
+# How much of each pixel, and of each neighbourhood, is used where all of an image is.
+ONE = np.ones((), dtype=np.float32)
 # Luma of ITU-R BT.601.
 LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 
@@ -64,11 +67,12 @@ def channel_image(
     colours = np.asarray(image, dtype=np.float32)
     if channels is Channels.COLOUR:
         return colours
-    shown = np.ones(colours.shape[:2], dtype=np.bool_) if shown is None else shown
-    used, filled = shown.astype(np.float32), colours.copy()
-    filled[~shown] = 0.0
-    share = np.maximum(_box(used), np.float32(1e-6))
-    values = _MADE_BY[channels](filled, used, share)
+    used = share = ONE
+    if shown is not None:
+        colours = np.where(shown[..., None], colours, np.float32(0.0))
+        used = shown.astype(np.float32)
+        share = np.maximum(_box(used), np.float32(1e-6))
+    values = _MADE_BY[channels](colours, used, share)
     values *= SCALE
     values += ZERO
     return np.clip(values, 0.0, 255.0, out=values)
@@ -81,12 +85,14 @@ def _box(values: Float32Array) -> Float32Array:
 
 
 def _thrice(values: Float32Array) -> Float32Array:
-    """Numbers ``(H, W)`` for each of three channels: ``(H, W, 3)``.
+    """Numbers ``(H, W)`` for each of three channels: ``(H, W, 3)``; one for all stays one.
 
     NumPy can do so by itself (broadcasting), but goes through three numbers at a time then, which
     takes several times as long. Where this is used, results are written over what is not needed any
     more: with arrays of this size getting memory takes longer than the arithmetic.
     """
+    if values.ndim == 0:
+        return values
     return np.asarray(cv2.merge([values, values, values]), dtype=np.float32)
 
 
@@ -102,7 +108,8 @@ def _contrast(colours: Float32Array, used: Float32Array, share: Float32Array) ->
 
 def _gradient(colours: Float32Array, used: Float32Array, share: Float32Array) -> Float32Array:
     grey = cv2.copyMakeBorder(colours @ LUMA, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
-    known = cv2.copyMakeBorder(used, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
+    shown = np.ascontiguousarray(np.broadcast_to(used, colours.shape[:2]))
+    known = cv2.copyMakeBorder(shown, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
     across = 0.5 * (grey[1:-1, 2:] - grey[1:-1, :-2]) * known[1:-1, 2:] * known[1:-1, :-2]
     down = 0.5 * (grey[2:, 1:-1] - grey[:-2, 1:-1]) * known[2:, 1:-1] * known[:-2, 1:-1]
     squares = across**2 + down**2
@@ -143,12 +150,17 @@ def views_in_channels(views: Views, channels: Channels) -> Views:
         return views
     arrays = views.arrays
     texels = arrays.texels.copy()
-    for view in range(len(views)):
+
+    def replace_colours(view: int) -> None:
         for level, start in enumerate(arrays.level_start[view]):
             # Views with fewer levels repeat their last one.
             if level > 0 and start == arrays.level_start[view, level - 1]:
                 break
             width, height = arrays.level_size[view, level]
-            made = np.rint(channel_image(views.level(view, level), channels))
-            texels[start : start + width * height, :3] = made.reshape(-1, 3)
+            made = np.rint(channel_image(views.level(view, level), channels)).astype(np.uint8)
+            packed = cv2.cvtColor(made, cv2.COLOR_RGB2RGBA)
+            texels[start : start + width * height] = packed.reshape(-1, 4)
+
+    # Exhausted, so that errors are raised here.
+    list(in_threads(replace_colours, range(len(views))))
     return Views(arrays._replace(texels=texels), views.intrinsics)

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
+
 INSTALL = 'pip install "lfnav[gpu]"'
 
 

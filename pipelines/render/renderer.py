@@ -167,14 +167,14 @@ class Renderer:
             views = views_of_scene(scene, largest_side)
         return cls(views, scene.plane, blending, quality, threads)
 
-    def without_view(self, index: int) -> "Renderer":
-        """A renderer of all other photos, on the CPU."""
+    def without_view(self, index: int, threads: int | None = None) -> "Renderer":
+        """A renderer of all other photos, on the CPU; ``threads``: None: as many as here."""
         return Renderer(
             without_view(self.views, index),
             self.plane,
             self.blending,
             self.quality,
-            self.threads,
+            threads or self.threads,
             # The depth maps stay as they are; to sort millions of depths again takes seconds.
             self._usual_inverse_depth,
         )

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -13,6 +14,7 @@ from pipelines.localize.belief import (
     Region,
     effective_sample_size,
     gaussian_belief,
+    log_sum,
     normalise_log_weights,
     region_of_area,
     uniform_belief,
@@ -21,11 +23,8 @@ from pipelines.localize.state_space import PLANAR, SPATIAL
 from tests.localize_samples import weighted
 
 # Down to where exp underflows and far beyond it, with weights of zero among them.
-log_weight_vectors = arrays(
-    np.float64,
-    st.integers(1, 40),
-    elements=st.one_of(st.floats(-1e5, 1e5), st.just(-np.inf)),
-)
+LOG_VALUES = st.one_of(st.floats(-1e5, 1e5), st.just(-np.inf))
+log_weight_vectors = arrays(np.float64, st.integers(1, 40), elements=LOG_VALUES)
 
 
 @given(log_weight_vectors)
@@ -38,6 +37,13 @@ def test_normalised_weights_add_up_to_one_and_keep_their_ratios(values: FloatArr
         np.testing.assert_array_equal(np.isneginf(normalised), ~finite)
         shift = normalised[finite] - values[finite]
         np.testing.assert_allclose(shift, shift[0], atol=1e-9)
+
+
+@given(arrays(np.float64, st.tuples(st.integers(1, 9), st.integers(1, 5)), elements=LOG_VALUES))
+def test_logarithms_of_sums_are_those_of_scipy(values: FloatArray) -> None:
+    expected = scipy.special.logsumexp(values, axis=0)
+    np.testing.assert_allclose(log_sum(values), expected, rtol=1e-14, atol=1e-14)
+    assert log_sum(values[:, 0]) == pytest.approx(expected[0], rel=1e-14, abs=1e-14)
 
 
 def test_likelihoods_that_would_underflow_still_count() -> None:

@@ -203,6 +203,12 @@ def test_what_is_learnt_does_not_depend_on_what_was_asked_before() -> None:
     other.pixels(12)
     np.testing.assert_array_equal(first.pixels(24).table, other.pixels(24).table)
     assert first.pixels(24) is first.pixels(24)
+    # What was begun ahead is what is asked for later, and begun once.
+    ahead = model_of()
+    ahead.learn_pixels([12, 24])
+    ahead.learn_pixels([24])
+    np.testing.assert_array_equal(ahead.pixels(24).table, first.pixels(24).table)
+    np.testing.assert_array_equal(ahead.pixels(12).edges, other.pixels(12).edges)
 
 
 # --- how much of it is explained ---------------------------------------------------------------

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -12,6 +13,7 @@ from pipelines.artifacts.arrays import FloatArray, IntArray
 from pipelines.artifacts.errors import StageError
 from pipelines.localize.places import (
     COMPRESSED,
+    JOINED_POSITION,
     PLACE_ANGLE,
     PLACE_POSITION,
     Weighed,
@@ -323,3 +325,11 @@ def test_labels_in_six_dimensions() -> None:
     assert len(set(labels[:20])) == len(set(labels[20:])) == 1
     assert labels[0] != labels[20]
     assert 0 not in labels
+
+
+@given(arrays(np.float64, st.integers(1, 30), elements=st.floats(0.0, 5.0)))
+def test_places_are_chains_of_near_hypotheses_numbered_as_they_come(xs: FloatArray) -> None:
+    hypotheses = np.column_stack([xs, np.zeros((len(xs), 2))])
+    near = np.abs(xs[:, None] - xs[None, :]) <= JOINED_POSITION
+    _, expected = scipy.sparse.csgraph.connected_components(scipy.sparse.coo_array(near))
+    np.testing.assert_array_equal(places_of(PLANAR, hypotheses), expected + 1)
