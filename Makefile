@@ -28,11 +28,10 @@ DEMO_DOCK := out/demo-dock
 DOCK := -1.15,-1.65,90
 DEMO_ODOMETRY := odometry.txt
 SEED := 0
-# One process: on two busy cores two were slower, since much of what is tested uses all cores itself.
-# On a larger machine: make test TEST_WORKERS='-n 4 --dist loadfile'.
-TEST_WORKERS :=
+# One process a processor, which keeps to it (tests/conftest.py); files stay whole for what their tests share.
+TEST_WORKERS = -n $(shell nproc 2>/dev/null || getconf _NPROCESSORS_ONLN) --dist loadfile
 
-.PHONY: help install demo demo-sfm demo-dock test test-slow test-lowest test-sanitized lint format wheel bench bench-against clean
+.PHONY: help install demo demo-sfm demo-dock test test-slow test-lowest test-sanitized lint lint-style lint-types lint-core format wheel bench bench-against clean
 
 help:
 	@echo "make install      a virtual environment in $(VENV) with lfnav in it"
@@ -123,13 +122,19 @@ test-lowest:
 
 # The C++ core with the compiler's sanitizers, in the tests that reach it.
 test-sanitized: $(STAMP)
-	.ci/test-sanitized $(VENV)
+	.ci/test-sanitized $(VENV) $(TEST_WORKERS)
 
-lint: $(STAMP)
+lint: lint-style lint-types lint-core
+
+lint-style: $(STAMP)
 	$(VENV_PYTHON) -m ruff check .
 	$(VENV_PYTHON) -m ruff format --check .
-	$(VENV_PYTHON) -m mypy --strict
 	$(BIN)/clang-format --dry-run --Werror native/*.cpp native/*.hpp
+
+lint-types: $(STAMP)
+	$(VENV_PYTHON) -m mypy --strict
+
+lint-core: $(STAMP)
 	.ci/clang-tidy $(VENV)
 
 format: $(STAMP)

@@ -1,5 +1,6 @@
 """What holds for all tests."""
 
+import os
 from typing import TYPE_CHECKING
 
 import pytest
@@ -7,6 +8,20 @@ from hypothesis import settings
 
 if TYPE_CHECKING:
     from pipelines.render.gpu_device import Gpu
+
+
+def keep_to_one_processor(worker: str) -> None:
+    """Of several test processes each has one: libraries start a thread for each that they may use.
+
+    Before any of these libraries is imported. Which processors there are is known on Linux only.
+    """
+    if hasattr(os, "sched_setaffinity"):
+        allowed = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {allowed[int(worker.removeprefix("gw")) % len(allowed)]})
+
+
+if "PYTEST_XDIST_WORKER" in os.environ:
+    keep_to_one_processor(os.environ["PYTEST_XDIST_WORKER"])
 
 # No test asserts a time: on a busy machine any example may take long.
 settings.register_profile("lfnav", deadline=None)

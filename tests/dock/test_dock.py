@@ -1,5 +1,6 @@
 """Docking in front of a painted wall: it gets there, and every other ending has its name."""
 
+import functools
 import math
 import time
 from collections.abc import Callable
@@ -11,13 +12,14 @@ import pytest
 from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.artifacts.errors import OptionError
 from pipelines.dock.dock import Report
+from pipelines.dock.docking_log import Docking
 from pipelines.dock.exploration import Search
 from pipelines.dock.outcomes import Ending
 from pipelines.dock.robot import CheckedRobot, Movement, RobotError
 from pipelines.dock.robots.faults import FaultyRobot
 from pipelines.dock.robots.noise import MotionNoise, SimulatedMotion
 from pipelines.dock.settings import DockSettings
-from pipelines.localize.run import load_run, save_run
+from pipelines.localize.run import Run, load_run, save_run
 from tests.dock_samples import (
     EXACT,
     GOAL,
@@ -46,6 +48,16 @@ def check_docked(robot: PaintedRobot) -> None:
     assert np.linalg.norm(state[:2] - GOAL[:2]) < 0.025
     assert abs(state[2] - GOAL[2]) < math.radians(1.0)
     assert robot.is_stopped
+
+
+@functools.cache
+def faulty_docking(
+    kind: str, step: int, drive: str
+) -> tuple[PaintedRobot, FaultyRobot, Docking, Run]:
+    """A robot, the same with a fault, and its docking; several tests look at the same one."""
+    inner = PaintedRobot()
+    robot = FaultyRobot(inner, kind, step)
+    return inner, robot, *docked(robot, near_wall(drive=drive))
 
 
 # --- docked -------------------------------------------------------------------------------------
@@ -134,8 +146,7 @@ def test_it_waits_until_people_have_walked_on(drive: str, step: int) -> None:
 @pytest.mark.parametrize("kind", ["cover", "frozen", "black"])
 @pytest.mark.parametrize("step", [4, 8, 10])
 def test_a_view_that_stays_covered_never_ends_as_docked(drive: str, kind: str, step: int) -> None:
-    inner = PaintedRobot(START)
-    docking, _ = docked(FaultyRobot(inner, kind, step), near_wall(drive=drive))
+    inner, _, docking, _ = faulty_docking(kind, step, drive)
     ending = docking.outcome.ending
     if ending is Ending.DOCKED:
         # It was there before.
@@ -165,8 +176,7 @@ def test_a_view_that_stays_covered_never_ends_as_docked(drive: str, kind: str, s
 def test_a_fault_at_step_4_is_named_and_the_robot_is_stopped(
     fault: str, ending: Ending, words: str
 ) -> None:
-    robot = FaultyRobot(PaintedRobot(), fault, 4)
-    docking, run = docked(robot, near_wall())
+    _, robot, docking, run = faulty_docking(fault, 4, "omni")
     assert docking.outcome.ending is ending
     assert words in docking.outcome.reason
     assert robot.is_stopped

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from pipelines.artifacts.stages import no_progress
 from pipelines.dataset.dataset import Dataset, load_dataset
@@ -19,8 +20,22 @@ FRAMES = 10
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    folder = tmp_path_factory.mktemp("recorded") / "drive"
-    return load_dataset(first_frames(ELEVATORS / "test", folder, FRAMES))
+    """With images of a quarter of the width: eight drives are made of them, four times."""
+    folder = first_frames(ELEVATORS / "test", tmp_path_factory.mktemp("recorded") / "drive", FRAMES)
+    for path in (folder / "rgb").iterdir():
+        with Image.open(path) as image:
+            smaller = image.reduce(4)
+        smaller.save(path)
+    text = (ELEVATORS / "test/camera.toml").read_text(encoding="utf-8")
+    for before, after in (
+        ("width = 640", "width = 160"),
+        ("height = 480", "height = 120"),
+        ("577.295282, 577.295282, 319.500000, 239.500000", "144.323821, 144.323821, 79.5, 59.5"),
+    ):
+        assert before in text
+        text = text.replace(before, after)
+    (folder / "camera.toml").write_text(text, encoding="utf-8")
+    return load_dataset(folder)
 
 
 @pytest.fixture(scope="module")

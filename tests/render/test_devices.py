@@ -163,7 +163,7 @@ def test_rendering_on_the_card_from_the_shell(gpu: Any, scene_path: Path, tmp_pa
 
 
 def test_localizing_on_the_card(gpu: Any, scene_path: Path, tmp_path: Path) -> None:
-    data = first_frames(ELEVATORS / "test", tmp_path / "data", 3)
+    data = first_frames(ELEVATORS / "test", tmp_path / "data", 2)
     command: list[str | Path] = ["localize", scene_path, data, "--quiet", "--init", "-1.7,-3.2,90"]
     command += ["--particles", "60", "--start-particles", "60"]
     runs = {}
