@@ -179,7 +179,13 @@ def meshes(
     if takes_part is None:
         takes_part = np.ones((len(poses), len(centres)), dtype=np.bool_)
     photos, weights, regions, most = native.delaunay_meshes(
-        poses, camera.vector(), camera.width, camera.height, centres, takes_part, MESH_LIMITS
+        poses=poses,
+        intrinsics=camera.vector(),
+        width=camera.width,
+        height=camera.height,
+        centres=centres,
+        takes_part=takes_part,
+        limits=MESH_LIMITS,
     )
     return photos, weights.astype(np.float64), regions, most
 
@@ -321,7 +327,13 @@ def test_whatever_numbers_there_are_regions_are_whole(value: float) -> None:
         for array in (centres, poses, intrinsics):
             array[generator.random(array.shape) < 0.2] = value
         photos, _, regions, most = native.delaunay_meshes(
-            poses, intrinsics, 7, 5, centres, np.ones((1, 8), np.bool_), MESH_LIMITS
+            poses=poses,
+            intrinsics=intrinsics,
+            width=7,
+            height=5,
+            centres=centres,
+            takes_part=np.ones((1, 8), np.bool_),
+            limits=MESH_LIMITS,
         )
         assert regions.min() >= 0
         assert regions.max() < most
