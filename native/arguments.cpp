@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <cstdio>
 #include <string>
+#include <type_traits>
 
 namespace nb = nanobind;
 
@@ -11,20 +12,17 @@ namespace lfnav {
 
 namespace {
 
+/// As NumPy calls it.
 template <typename Element>
-constexpr const char* ELEMENT_NAME = nullptr;
-template <>
-constexpr const char* ELEMENT_NAME<float> = "float32";
-template <>
-constexpr const char* ELEMENT_NAME<double> = "float64";
-template <>
-constexpr const char* ELEMENT_NAME<bool> = "bool";
-template <>
-constexpr const char* ELEMENT_NAME<std::uint8_t> = "uint8";
-template <>
-constexpr const char* ELEMENT_NAME<std::int32_t> = "int32";
-template <>
-constexpr const char* ELEMENT_NAME<std::int64_t> = "int64";
+std::string element_name() {
+    if (std::is_same_v<Element, bool>) {
+        return "bool";
+    }
+    const std::string kind = std::is_floating_point_v<Element> ? "float"
+                             : std::is_signed_v<Element>       ? "int"
+                                                               : "uint";
+    return kind + std::to_string(8 * sizeof(Element));
+}
 
 std::string text(nb::handle object) { return nb::str(object).c_str(); }
 
@@ -85,11 +83,10 @@ void NamedArguments::end() const {
 
 template <typename Element>
 ArrayArgument<Element>::ArrayArgument(nb::handle array, const char* name, Shape shape) {
-    const std::string wanted = ELEMENT_NAME<Element>;
     const bool is_array = nb::ndarray_check(array);
     if (!is_array || !nb::try_cast(array, array_) || array_.dtype() != nb::dtype<Element>()) {
         const bool has_type = is_array && nb::hasattr(array, "dtype");
-        refuse_type(name, "an array of " + wanted + " expected, got " +
+        refuse_type(name, "an array of " + element_name<Element>() + " expected, got " +
                               (has_type ? text(array.attr("dtype")) : class_name(array)));
     }
     const auto length = [&](std::size_t axis) { return shape.begin()[axis]; };

@@ -18,6 +18,7 @@ nb::object python_delaunay_triangles(nb::handle points, nb::handle smallest_area
     const ArrayArgument<double> given(points, "points", {ANY, 2});
     const double smallest = number_from(0.0, smallest_area, "smallest_area");
     std::vector<Point> places;
+    places.reserve(given.shape(0));
     for (std::size_t i = 0; i < given.shape(0); ++i) {
         places.push_back({given.data()[2 * i], given.data()[2 * i + 1]});
     }

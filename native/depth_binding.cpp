@@ -60,6 +60,7 @@ nb::object python_plane_sweep(nb::handle reference, nb::handle photos, nb::handl
     const std::size_t kept = integer_between(1, 1 << 15, best, "best");
     const auto limit = static_cast<float>(positive_number(saturation, "saturation"));
     std::vector<SweptPhoto> swept;
+    swept.reserve(images.size());
     for (std::size_t i = 0; i < images.size(); ++i) {
         swept.push_back({images[i], mapped.data() + 12 * i});
     }
@@ -105,6 +106,7 @@ nb::tuple python_fuse_depth(nb::handle inverse_depth, nb::handle others, nb::han
     const ArrayArgument<double> to(to_view, "to_view", {maps.size(), 3, 4});
     const ArrayArgument<double> from(from_view, "from_view", {maps.size(), 3, 4});
     std::vector<NeighbourDepth> neighbours;
+    neighbours.reserve(maps.size());
     for (std::size_t i = 0; i < maps.size(); ++i) {
         if (sure[i].shape(0) != maps[i].shape(0) || sure[i].shape(1) != maps[i].shape(1)) {
             refuse_value("confident", "sizes as of others expected");

@@ -20,10 +20,11 @@ namespace lfnav::LFNAV_LEVEL {
 
 class DepthSurface final : public Surface {
   public:
-    DepthSurface(const LightField& field, const VirtualViews& views)
+    DepthSurface(const LightField& field, const VirtualViews& views, const DepthSamples& samples)
         : photos_(field.photos),
           settings_(field.depth_grid),
           views_(views),
+          samples_(samples),
           grid_{side(views.width), side(views.height)},
           nearest_(grid_.count() + Splatting::ELSEWHERE),
           vertices_(grid_.count()) {}
@@ -50,7 +51,7 @@ class DepthSurface final : public Surface {
         for (std::size_t i = 0; i < views_.most_sources && sources[i] >= 0; ++i) {
             const auto photo = static_cast<std::size_t>(sources[i]);
             const DepthProjection projection(photos_, photo, camera, views_.spacing, grid_);
-            splatting_(*views_.samples, photo, projection, grid_, nearest_.data());
+            splatting_(samples_, photo, projection, grid_, nearest_.data());
         }
         keep_solid();
         close_gaps();
@@ -174,6 +175,7 @@ class DepthSurface final : public Surface {
     Photos photos_;
     DepthGridSettings settings_;
     VirtualViews views_;
+    DepthSamples samples_;
     VertexGrid grid_;
     /// Inverse depths: the nearest sample at each vertex, and what is left of them.
     std::vector<float> nearest_, vertices_;

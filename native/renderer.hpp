@@ -63,15 +63,16 @@ class ViewRenderer {
         surface_->set_inverse_depths(pixels_, seen_.data());
         homographies_.begin(camera);
         blending_->choose(camera, *surface_, homographies_);
-        const std::vector<std::int32_t>& place = blending_->map().pixels().place;
+        const RegionMap& map = blending_->map();
+        const std::vector<std::int32_t>& place = map.pixels().place;
         for (std::size_t i = 0; i < seen_.size(); ++i) {
             inverse_depth_[i] = seen_[static_cast<std::size_t>(place[i])];
         }
         std::fill_n(image, 4 * seen_.size(), 0.0F);
         if (field_.photos.has_depth) {
-            blend_regions<true>(camera, image);
+            blend_regions<true>(camera, map, image);
         } else {
-            blend_regions<false>(camera, image);
+            blend_regions<false>(camera, map, image);
         }
         if (normalise(image, seen_.size(), field_.smallest_weight) > 0) {
             fill_holes(camera, image);
@@ -84,7 +85,7 @@ class ViewRenderer {
   private:
     static std::unique_ptr<Surface> surface_of(const LightField& field, const VirtualViews& views) {
         if (views.samples) {
-            return std::make_unique<DepthSurface>(field, views);
+            return std::make_unique<DepthSurface>(field, views, *views.samples);
         }
         return std::make_unique<PlaneSurface>(field.plane);
     }
@@ -98,9 +99,9 @@ class ViewRenderer {
     }
 
     /// Chains the regions that show the same photo; returns how many photos any region shows.
-    LFNAV_INLINE std::size_t chain_regions() {
-        const std::span<const Region> regions = blending_->map().regions();
-        const std::vector<std::size_t>& starts = blending_->map().pixels().starts;
+    LFNAV_INLINE std::size_t chain_regions(const RegionMap& map) {
+        const std::span<const Region> regions = map.regions();
+        const std::vector<std::size_t>& starts = map.pixels().starts;
         next_.resize(std::max(next_.size(), SLOTS * regions.size()));
         std::size_t count = 0;
         // From the last to the first, so that each chain runs from the first to the last.
@@ -128,10 +129,11 @@ class ViewRenderer {
     ///
     /// @tparam MAY_BE_HIDDEN: whether depth maps may hide the surface.
     template <bool MAY_BE_HIDDEN>
-    LFNAV_INLINE void blend_regions(const VirtualCamera& camera, float* image) {
-        const std::span<const Region> regions = blending_->map().regions();
-        const std::vector<std::size_t>& starts = blending_->map().pixels().starts;
-        const std::size_t shown = chain_regions();
+    LFNAV_INLINE void blend_regions(const VirtualCamera& camera, const RegionMap& map,
+                                    float* image) {
+        const std::span<const Region> regions = map.regions();
+        const std::vector<std::size_t>& starts = map.pixels().starts;
+        const std::size_t shown = chain_regions(map);
         for (std::size_t number = 0; number < shown; ++number) {
             const std::size_t photo = shown_[number];
             const Homography& own = homographies_[photo];
@@ -142,7 +144,7 @@ class ViewRenderer {
                 std::size_t first = starts[region];
                 while (first < starts[region + 1]) {
                     const std::size_t taken = std::min(starts[region + 1] - first, CHUNK - count);
-                    load(regions[region], place % SLOTS, first, taken, count);
+                    load(map.pixels(), regions[region], place % SLOTS, first, taken, count);
                     first += taken;
                     count += taken;
                     if (count == CHUNK) {
@@ -162,9 +164,8 @@ class ViewRenderer {
     }
 
     /// Puts pixels of a region into the chunk, and some more behind them.
-    LFNAV_INLINE void load(const Region& region, std::size_t slot, std::size_t first,
-                           std::size_t count, std::size_t place) {
-        const RegionPixels& pixels = blending_->map().pixels();
+    LFNAV_INLINE void load(const RegionPixels& pixels, const Region& region, std::size_t slot,
+                           std::size_t first, std::size_t count, std::size_t place) {
         const float a = region.a[slot], b = region.b[slot], c = region.c[slot], d = region.d[slot];
         const float left = region.left, top = region.top;
         for (std::size_t start = 0; start < count; start += TOGETHER) {

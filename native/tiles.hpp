@@ -81,8 +81,10 @@ class Tiling final : public Blending {
             set_shares(best, settings, weights_.data() + SHARING * first);
             std::copy_n(&best.photo[0][0], SHARING * POINTS, photos_.data() + SHARING * first);
         }
-        for (std::size_t tile = 0; tile < map_.regions().size(); ++tile) {
-            join_corners(tile / across(), tile % across(), map_.regions()[tile]);
+        for (std::size_t row = 0; row + 1 < grid_.down.size(); ++row) {
+            for (std::size_t column = 0; column < across(); ++column) {
+                join_corners(row, column, map_.regions()[row * across() + column]);
+            }
         }
     }
 
