@@ -1,16 +1,20 @@
-#include "alignment_binding.hpp"
+// Python's fitted_brightness, robust_error and normal_equations.
 
-#include <array>
+#include <nanobind/stl/tuple.h>
+
 #include <limits>
+#include <tuple>
 #include <vector>
 
-#include "array_argument.hpp"
+#include "arguments.hpp"
+#include "bindings.hpp"
+#include "brightness.hpp"
 #include "normal_equations.hpp"
 #include "robust_error.hpp"
 
 namespace nb = nanobind;
 
-namespace lfnav {
+namespace lfnav::LFNAV_LEVEL {
 
 namespace {
 
@@ -22,81 +26,64 @@ Photometry photometry_of(nb::handle gain, nb::handle offset, nb::handle limit) {
             positive_number(limit, "limit")};
 }
 
-/// Motions of surface points against the camera.
-///
-/// A point at offset Y from the camera's centre, in its axes, moves by -R^T (dp + w x (X - p)) when
-/// the body at p is shifted by dp and rotated by w; divided by its depth this stays finite for
-/// points far away.
-///
-/// @param rotation: (3, 3) R of world_from_camera.
-/// @param lever: (3,) from the body's origin to the camera's centre, world axes.
-/// @param axes: (D, 3) world axis of each unknown.
-/// @param is_rotation: (D,) whether the unknown is a rotation about its axis, or a shift along it.
-std::vector<Motion> camera_motions(std::span<const double> rotation, std::span<const double> lever,
-                                   std::span<const double> axes,
-                                   std::span<const bool> is_rotation) {
-    std::vector<Motion> motions(is_rotation.size());
-    for (std::size_t k = 0; k < motions.size(); ++k) {
-        const double* const axis = &axes[3 * k];
-        for (std::size_t i = 0; i < 3; ++i) {
-            double own = 0.0, arm = 0.0;
-            for (std::size_t j = 0; j < 3; ++j) {
-                own += rotation[3 * j + i] * axis[j];
-                // The cross product of axis and lever.
-                const std::size_t p = (j + 1) % 3, q = (j + 2) % 3;
-                arm += rotation[3 * j + i] * (axis[p] * lever[q] - axis[q] * lever[p]);
-            }
-            motions[k].rotation[i] = is_rotation[k] ? own : 0.0;
-            motions[k].translation[i] = is_rotation[k] ? arm : own;
-        }
-    }
-    return motions;
+std::tuple<double, double, double> python_fitted_brightness(nb::handle view, nb::handle target,
+                                                            nb::handle stride, nb::handle cutoff,
+                                                            nb::handle smallest_scale,
+                                                            nb::handle largest_gain) {
+    const ArrayArgument<float> rendered(view, "view", {ANY, ANY, 4});
+    const ArrayArgument<float> wanted(target, "target", {rendered.shape(0), rendered.shape(1), 4});
+    constexpr std::size_t most = std::numeric_limits<std::int32_t>::max();
+    const std::size_t step = integer_between(1, most, stride, "stride");
+    const BrightnessLimits limits{positive_number(cutoff, "cutoff"),
+                                  positive_number(smallest_scale, "smallest_scale"),
+                                  number_from(1.0, largest_gain, "largest_gain")};
+    const nb::gil_scoped_release unlocked;
+    const Brightness found = fitted_brightness(rendered, wanted, step, limits);
+    return {found.gain, found.offset, found.scale};
 }
 
 double python_robust_error(nb::handle view, nb::handle target, nb::handle gain, nb::handle offset,
                            nb::handle limit) {
-    const MaskedImageArgument rendered(view, "view");
-    const MaskedImageArgument wanted(target, "target", rendered);
+    const ArrayArgument<float> rendered(view, "view", {ANY, ANY, 4});
+    const ArrayArgument<float> wanted(target, "target", {rendered.shape(0), rendered.shape(1), 4});
     const Photometry photometry = photometry_of(gain, offset, limit);
     const nb::gil_scoped_release unlocked;
-    return LFNAV_BEST(robust_error)(rendered, wanted, photometry);
+    return robust_error(rendered, wanted, photometry);
 }
 
-nb::tuple python_normal_equations(nb::handle image, nb::handle inverse_depth, nb::handle target,
-                                  nb::handle gain, nb::handle offset, nb::handle limit,
-                                  nb::handle flat, nb::handle intrinsics, nb::handle rotation,
-                                  nb::handle lever, nb::handle axes, nb::handle is_rotation,
-                                  nb::handle tiles_across) {
-    const MaskedImageArgument own(image, "image");
-    const MaskedImage rendered = own;
-    const ArrayArgument<float> depth(inverse_depth, "inverse_depth",
-                                     {rendered.height, rendered.width});
-    const MaskedImageArgument wanted(target, "target", rendered);
-    const ArrayArgument<double> pinhole(intrinsics, "intrinsics", {4});
-    const ArrayArgument<double> turned(rotation, "rotation", {3, 3});
-    const ArrayArgument<double> arm(lever, "lever", {3});
-    const ArrayArgument<double> directions(axes, "axes", {ANY, 3});
-    const std::size_t unknowns = directions.shape(0);
+nb::tuple python_normal_equations(const nb::kwargs& arguments) {
+    NamedArguments given(arguments);
+    const ArrayArgument<float> image(given, "image", {ANY, ANY, 4});
+    const std::size_t height = image.shape(0), width = image.shape(1);
+    const ArrayArgument<float> inverse_depth(given, "inverse_depth", {height, width});
+    const ArrayArgument<float> target(given, "target", {height, width, 4});
+    const ArrayArgument<double> intrinsics(given, "intrinsics", {4});
+    const ArrayArgument<double> rotation(given, "rotation", {3, 3});
+    const ArrayArgument<double> lever(given, "lever", {3});
+    const ArrayArgument<double> axes(given, "axes", {ANY, 3});
+    const std::size_t unknowns = axes.shape(0);
     if (unknowns > MOST_UNKNOWNS) {
         refuse_value("axes", "at most 6 unknowns expected");
     }
-    const ArrayArgument<bool> kinds(is_rotation, "is_rotation", {unknowns});
-    const std::size_t tiles = integer_between(1, MOST_TILES_ACROSS, tiles_across, "tiles_across");
-    const double* const lens = pinhole.data();
-    const AlignedView view{rendered,
-                           {depth.data(), rendered.height, rendered.width},
-                           wanted,
-                           photometry_of(gain, offset, limit),
-                           finite_number(flat, "flat"),
-                           {lens[0], lens[1], lens[2], lens[3]}};
+    const ArrayArgument<bool> is_rotation(given, "is_rotation", {unknowns});
+    const std::size_t tiles =
+        integer_between(1, MOST_TILES_ACROSS, given.take("tiles_across"), "tiles_across");
+    const double* const lens = intrinsics.data();
+    const AlignedView view{
+        image,
+        inverse_depth,
+        target,
+        photometry_of(given.take("gain"), given.take("offset"), given.take("limit")),
+        finite_number(given.take("flat"), "flat"),
+        {lens[0], lens[1], lens[2], lens[3]}};
+    given.end();
     const std::vector<Motion> motions =
-        camera_motions(turned.span(), arm.span(), directions.span(), kinds.span());
+        camera_motions(rotation.span(), lever.span(), axes.span(), is_rotation.span());
     NewArray<double> hessian({unknowns + 2, unknowns + 2});
     NewArray<double> tile_gradients({tiles * tiles, unknowns + 2});
     {
         const nb::gil_scoped_release unlocked;
-        LFNAV_BEST(add_normal_equations)(view, motions, tiles, hessian.values,
-                                         tile_gradients.values);
+        add_normal_equations(view, motions, tiles, hessian.values, tile_gradients.values);
     }
     return nb::make_tuple(hessian.array, tile_gradients.array);
 }
@@ -104,13 +91,12 @@ nb::tuple python_normal_equations(nb::handle image, nb::handle inverse_depth, nb
 }  // namespace
 
 void bind_alignment(nb::module_& module) {
+    module.def("fitted_brightness", &python_fitted_brightness, argument("view"), argument("target"),
+               argument("stride"), argument("cutoff"), argument("smallest_scale"),
+               argument("largest_gain"));
     module.def("robust_error", &python_robust_error, argument("view"), argument("target"),
                argument("gain"), argument("offset"), argument("limit"));
-    module.def("normal_equations", &python_normal_equations, argument("image"),
-               argument("inverse_depth"), argument("target"), argument("gain"), argument("offset"),
-               argument("limit"), argument("flat"), argument("intrinsics"), argument("rotation"),
-               argument("lever"), argument("axes"), argument("is_rotation"),
-               argument("tiles_across"));
+    module.def("normal_equations", &python_normal_equations);
 }
 
-}  // namespace lfnav
+}  // namespace lfnav::LFNAV_LEVEL

@@ -18,6 +18,18 @@ namespace lfnav::LFNAV_LEVEL {
 /// Numbers of pixels that are added up in single precision before the sum is kept in double.
 constexpr std::size_t BLOCK = 256;
 
+/// Of pixels of four channels the sum of the first three, and of the fourth.
+struct ChannelSums {
+    double colours = 0.0, fourth = 0.0;
+
+    LFNAV_INLINE void add(const FloatVector& pixels) {
+        for (std::size_t i = 0; i < sizeof pixels / sizeof(float); i += 4) {
+            colours += static_cast<double>(pixels[i] + pixels[i + 1] + pixels[i + 2]);
+            fourth += static_cast<double>(pixels[i + 3]);
+        }
+    }
+};
+
 /// Calls a function with vectors of the pixels of two images, and which of two sums they belong to:
 /// the next addition to one waits for the last.
 template <typename Function>

@@ -6,8 +6,9 @@
 // A camera gantry records on a regular grid: any four neighbours lie on a circle, whole rows on a
 // line. Rounding then decides whether a point is in a circumcircle, and the triangles in conflict
 // need neither hang together nor surround the point. So the cavity grows from the triangle that the
-// point is in, across edges only, and goes on growing until the point sees all of its rim. The
-// result always is a triangulation, and the Delaunay triangulation to within rounding.
+// point is in, across edges only, and goes on growing until the point sees all of its rim. A corner
+// that is left with no triangle by that, all but on a line with the point, is inserted once more.
+// The result always is a triangulation, and the Delaunay triangulation to within rounding.
 
 #pragma once
 
@@ -17,6 +18,7 @@
 #include <cstdint>
 #include <limits>
 #include <span>
+#include <utility>
 #include <vector>
 
 #include "homography.hpp"
@@ -51,6 +53,7 @@ class Delaunay {
         triangles_.clear();
         is_removed_.clear();
         new_at_.assign(points.size() + 1, 0);
+        lost_.clear();
         const auto count = static_cast<std::int32_t>(points.size());
         std::int32_t third = 2;
         while (third < count && turn(0, 1, points[index(third)]) == 0.0) {
@@ -75,6 +78,12 @@ class Delaunay {
                 insert(i);
             }
         }
+        // One after the other may be lost by what brings the last one back, but not for ever.
+        for (std::int32_t tries = 0; tries < count && !lost_.empty(); ++tries) {
+            const std::int32_t corner = lost_.back();
+            lost_.pop_back();
+            insert(corner);
+        }
         return true;
     }
 
@@ -94,6 +103,8 @@ class Delaunay {
         std::int32_t start, end, beyond;
     };
 
+    static constexpr std::int32_t ON_RIM = -1;
+
     static std::size_t index(std::int32_t i) { return static_cast<std::size_t>(i); }
 
     /// The area of two corners and a point; zero where they lie on a line to within rounding.
@@ -106,14 +117,18 @@ class Delaunay {
         return std::abs(size) > smallest_area_ * longest ? size : 0.0;
     }
 
+    /// Whether a point on the line through two others lies between them.
+    static bool is_beside(const Point& a, const Point& b, const Point& p) {
+        return (p.x - a.x) * (b.x - p.x) + (p.y - a.y) * (b.y - p.y) > 0.0;
+    }
+
     /// Whether a point is in the circumcircle of a triangle; of a ghost: beyond its hull edge.
     bool conflicts(const Triangle& triangle, const Point& p) const {
         const Point &a = points_[index(triangle.corner[0])],
                     &b = points_[index(triangle.corner[1])];
         if (triangle.corner[2] == GHOST) {
             const double side = turn(triangle.corner[0], triangle.corner[1], p);
-            const double along = (p.x - a.x) * (b.x - p.x) + (p.y - a.y) * (b.y - p.y);
-            return side != 0.0 ? side > 0.0 : along > 0.0;
+            return side != 0.0 ? side > 0.0 : is_beside(a, b, p);
         }
         const Point& c = points_[index(triangle.corner[2])];
         const double ax = a.x - p.x, ay = a.y - p.y, bx = b.x - p.x, by = b.y - p.y;
@@ -137,8 +152,7 @@ class Delaunay {
         return depth;
     }
 
-    /// The triangle in conflict that a point is in; -1: none, since it all but coincides with a
-    /// corner.
+    /// The triangle that a point is in: in conflict with it, unless rounding hides that.
     std::int32_t locate(const Point& p) const {
         std::int32_t row = latest_;
         // Rounding may lead a walk in a circle.
@@ -158,18 +172,35 @@ class Delaunay {
         if (is_removed_[index(row)] == 0 && conflicts(triangles_[index(row)], p)) {
             return row;
         }
-        std::int32_t deepest = -1;
+        const std::int32_t found = deepest(p, true);
+        return found >= 0 ? found : deepest(p, false);
+    }
+
+    /// The triangle that a point is deepest in, of those in conflict with it or of all.
+    std::int32_t deepest(const Point& p, bool in_conflict) const {
+        std::int32_t best = -1;
         double depth = -std::numeric_limits<double>::infinity();
         for (std::size_t i = 0; i < triangles_.size(); ++i) {
-            if (is_removed_[i] == 0 && conflicts(triangles_[i], p)) {
+            if (is_removed_[i] == 0 && (!in_conflict || conflicts(triangles_[i], p))) {
                 const double own = depth_inside(triangles_[i], p);
                 if (own > depth) {
                     depth = own;
-                    deepest = static_cast<std::int32_t>(i);
+                    best = static_cast<std::int32_t>(i);
                 }
             }
         }
-        return deepest;
+        return best;
+    }
+
+    /// Whether a point does not see an edge from inside. One that all but lies on the edge does
+    /// not; one on its extension does, if only just: else all triangles along a straight row would
+    /// go.
+    bool is_hidden(std::int32_t start, std::int32_t end, const Point& p) const {
+        if (turn(start, end, p) > 0.0) {
+            return false;
+        }
+        const Point &a = points_[index(start)], &b = points_[index(end)];
+        return is_beside(a, b, p) || area(a, b, p) <= 0.0;
     }
 
     void remove(std::int32_t row) {
@@ -188,7 +219,7 @@ class Delaunay {
                 if (is_removed_[index(beyond)] != 0) {
                     continue;
                 }
-                if (start != GHOST && end != GHOST && turn(start, end, p) <= 0.0) {
+                if (start != GHOST && end != GHOST && is_hidden(start, end, p)) {
                     return beyond;
                 }
                 rim_.push_back({start, end, beyond});
@@ -218,7 +249,27 @@ class Delaunay {
             }
         }
         if (!cavity_.empty()) {
+            note_lost();
             fill_cavity(corner);
+        }
+    }
+
+    /// Notes the corners inside the cavity: no triangle but those that are removed has them.
+    void note_lost() {
+        for (const RimEdge& edge : rim_) {
+            new_at_[index(edge.start + 1)] = ON_RIM;
+        }
+        for (const std::int32_t row : cavity_) {
+            for (const std::int32_t own : triangles_[index(row)].corner) {
+                if (std::exchange(new_at_[index(own + 1)], ON_RIM) != ON_RIM && own != GHOST) {
+                    lost_.push_back(own);
+                }
+            }
+        }
+        for (const std::int32_t row : cavity_) {
+            for (const std::int32_t own : triangles_[index(row)].corner) {
+                new_at_[index(own + 1)] = 0;
+            }
         }
     }
 
@@ -276,6 +327,7 @@ class Delaunay {
     std::vector<RimEdge> rim_;
     /// By corner, GHOST first: the new triangle whose rim edge starts there.
     std::vector<std::int32_t> new_at_;
+    std::vector<std::int32_t> lost_;
 };
 
 }  // namespace lfnav::LFNAV_LEVEL

@@ -4,20 +4,19 @@
 
 #include <cstddef>
 #include <memory>
-#include <span>
 #include <vector>
 
+#include "blending.hpp"
 #include "delaunay_mesh.hpp"
 #include "homography.hpp"
 #include "level.hpp"
 #include "light_field.hpp"
-#include "regions.hpp"
 #include "surface.hpp"
 #include "virtual_views.hpp"
 
 namespace lfnav::LFNAV_LEVEL {
 
-class DelaunayBlending {
+class DelaunayBlending final : public Blending {
   public:
     DelaunayBlending(const LightField& field, const VirtualViews& views, const Middle& middle,
                      const Surface& surface)
@@ -30,21 +29,14 @@ class DelaunayBlending {
         surface.prepare(frustum_);
     }
 
-    std::span<const Region> regions() const { return mesh_.regions(); }
-    const RegionPixels& pixels() const { return mesh_.pixels(); }
-    /// (N,) photos that may show what those of a region do not.
-    const bool* candidates() const { return takes_part_.get(); }
+    const RegionMap& map() const override { return mesh_.map(); }
+    const bool* candidates() const override { return takes_part_.get(); }
 
-    /// Makes the mesh for a virtual camera.
-    ///
-    /// @param surface: as it sees it.
-    /// @param homography: makes that of a photo, or has it.
-    template <typename HomographyOf>
-    LFNAV_INLINE void choose(const VirtualCamera& camera, const Surface& surface,
-                             HomographyOf homography) {
+    void choose(const VirtualCamera& camera, const Surface& surface,
+                Homographies& homographies) override {
         surface.set_inverse_depths(frustum_, inverse_depths_.data());
         for (std::size_t photo = 0; photo < photos_.count; ++photo) {
-            takes_part_[photo] = photos_.usable[photo] && sees_any(photo, homography(photo));
+            takes_part_[photo] = photos_.usable[photo] && sees_any(photo, homographies[photo]);
         }
         mesh_.build(camera, photos_.centres, takes_part_.get(), photos_.count);
     }
@@ -77,7 +69,7 @@ class DelaunayBlending {
     Photos photos_;
     std::unique_ptr<bool[]> takes_part_;
     /// The surface points one of which a photo has to see.
-    Places frustum_;
+    ImagePoints frustum_;
     std::vector<float> inverse_depths_;
     DelaunayMesh mesh_;
 };

@@ -20,7 +20,6 @@
 #include "delaunay.hpp"
 #include "homography.hpp"
 #include "level.hpp"
-#include "region_map.hpp"
 #include "regions.hpp"
 #include "scatter.hpp"
 #include "virtual_views.hpp"
@@ -42,8 +41,7 @@ class DelaunayMesh {
           delaunay_(settings.smallest_area),
           map_(width, height, pixels, middle) {}
 
-    std::span<const Region> regions() const { return map_.regions(); }
-    const RegionPixels& pixels() const { return map_.pixels(); }
+    const RegionMap& map() const { return map_; }
 
     /// Makes the mesh of some photos in a virtual image.
     ///

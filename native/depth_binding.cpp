@@ -1,18 +1,17 @@
-#include "depth_binding.hpp"
+// Python's functions that make depth maps.
 
-#include <limits>
 #include <string>
 #include <vector>
 
-#include "array_argument.hpp"
-#include "depth_completion.hpp"
+#include "arguments.hpp"
+#include "bindings.hpp"
 #include "depth_fusion.hpp"
 #include "plane_sweep.hpp"
 #include "semi_global_matching.hpp"
 
 namespace nb = nanobind;
 
-namespace lfnav {
+namespace lfnav::LFNAV_LEVEL {
 
 namespace {
 
@@ -23,34 +22,24 @@ constexpr double LARGEST_PENALTY = 1e6;
 
 /// An image (H, W).
 template <typename Element>
-class ImageArgument : public ArrayArgument<Element> {
-  public:
-    ImageArgument(nb::handle array, const std::string& name)
-        : ArrayArgument<Element>(array, name.c_str(), {ANY, ANY}) {
-        if (this->shape(0) > LONGEST_SIDE || this->shape(1) > LONGEST_SIDE) {
-            refuse_value(name.c_str(), "sides of at most 32768 pixels expected");
-        }
+ArrayArgument<Element> image_argument(nb::handle array, const char* name) {
+    const ArrayArgument<Element> image(array, name, {ANY, ANY});
+    if (image.shape(0) > LONGEST_SIDE || image.shape(1) > LONGEST_SIDE) {
+        refuse_value(name, "sides of at most 32768 pixels expected");
     }
-    ImageArgument(nb::handle array, const std::string& name, std::size_t height, std::size_t width)
-        : ArrayArgument<Element>(array, name.c_str(), {height, width}) {}
-
-    /// As a kernel takes it.
-    template <typename Image>
-    Image as() const {
-        return {this->data(), this->shape(0), this->shape(1)};
-    }
-};
+    return image;
+}
 
 /// A list of images, each of which has pixels.
 template <typename Element>
-std::vector<ImageArgument<Element>> images_of(nb::handle arrays, const char* name) {
+std::vector<ArrayArgument<Element>> images_of(nb::handle arrays, const char* name) {
     if (!nb::isinstance<nb::sequence>(arrays)) {
-        throw nb::type_error((std::string(name) + ": a list of arrays expected").c_str());
+        refuse_type(name, "a list of arrays expected");
     }
-    std::vector<ImageArgument<Element>> result;
+    std::vector<ArrayArgument<Element>> result;
     for (const nb::handle array : nb::borrow<nb::sequence>(arrays)) {
         const std::string own = std::string(name) + "[" + std::to_string(result.size()) + "]";
-        result.emplace_back(array, own);
+        result.push_back(image_argument<Element>(array, own.c_str()));
         if (result.back().span().empty()) {
             refuse_value(own.c_str(), "an image without pixels");
         }
@@ -59,16 +48,12 @@ std::vector<ImageArgument<Element>> images_of(nb::handle arrays, const char* nam
 }
 
 float penalty(nb::handle number, const char* name) {
-    const double value = number_from(0.0, number, name);
-    if (value > LARGEST_PENALTY) {
-        refuse_value(name, "at most a million expected");
-    }
-    return static_cast<float>(value);
+    return static_cast<float>(number_between(0.0, LARGEST_PENALTY, number, name));
 }
 
 nb::object python_plane_sweep(nb::handle reference, nb::handle photos, nb::handle maps,
                               nb::handle inverse_depths, nb::handle best, nb::handle saturation) {
-    const ImageArgument<std::uint8_t> own(reference, "reference");
+    const auto own = image_argument<std::uint8_t>(reference, "reference");
     const auto images = images_of<std::uint8_t>(photos, "photos");
     const ArrayArgument<double> mapped(maps, "maps", {images.size(), 3, 4});
     const ArrayArgument<double> planes(inverse_depths, "inverse_depths", {ANY});
@@ -77,13 +62,12 @@ nb::object python_plane_sweep(nb::handle reference, nb::handle photos, nb::handl
     std::vector<SweptPhoto> swept;
     swept.reserve(images.size());
     for (std::size_t i = 0; i < images.size(); ++i) {
-        swept.push_back({images[i].as<GreyImage>(), mapped.data() + 12 * i});
+        swept.push_back({images[i], mapped.data() + 12 * i});
     }
     NewArray<std::uint8_t> volume({own.shape(0), own.shape(1), planes.shape(0)});
     if (!volume.values.empty()) {
         const nb::gil_scoped_release unlocked;
-        LFNAV_BEST(plane_sweep)(own.as<GreyImage>(), swept, planes.span(), kept, limit,
-                                volume.values.data());
+        plane_sweep(own, swept, planes.span(), kept, limit, volume.values.data());
     }
     return nb::cast(volume.array);
 }
@@ -91,7 +75,7 @@ nb::object python_plane_sweep(nb::handle reference, nb::handle photos, nb::handl
 nb::tuple python_semi_global_matching(nb::handle volume, nb::handle reference, nb::handle step,
                                       nb::handle jump, nb::handle edge_contrast,
                                       nb::handle least_jump) {
-    const ImageArgument<std::uint8_t> own(reference, "reference");
+    const auto own = image_argument<std::uint8_t>(reference, "reference");
     const std::size_t height = own.shape(0), width = own.shape(1);
     const ArrayArgument<std::uint8_t> costs(volume, "volume", {height, width, ANY});
     if (costs.shape(2) < 1 || costs.shape(2) > MOST_PLANES) {
@@ -104,9 +88,8 @@ nb::tuple python_semi_global_matching(nb::handle volume, nb::handle reference, n
     NewArray<float> index({height, width}), distinctness({height, width});
     if (!index.values.empty()) {
         const nb::gil_scoped_release unlocked;
-        LFNAV_BEST(semi_global_matching)(costs.data(), costs.shape(2), own.as<GreyImage>(),
-                                         penalties, index.values.data(),
-                                         distinctness.values.data());
+        semi_global_matching(costs.data(), costs.shape(2), own, penalties, index.values.data(),
+                             distinctness.values.data());
     }
     return nb::make_tuple(index.array, distinctness.array);
 }
@@ -114,7 +97,7 @@ nb::tuple python_semi_global_matching(nb::handle volume, nb::handle reference, n
 nb::tuple python_fuse_depth(nb::handle inverse_depth, nb::handle others, nb::handle confident,
                             nb::handle to_view, nb::handle from_view, nb::handle unsure_trust,
                             nb::handle agreement) {
-    const ImageArgument<float> own(inverse_depth, "inverse_depth");
+    const auto own = image_argument<float>(inverse_depth, "inverse_depth");
     const auto maps = images_of<float>(others, "others");
     const auto sure = images_of<bool>(confident, "confident");
     if (sure.size() != maps.size()) {
@@ -128,29 +111,16 @@ nb::tuple python_fuse_depth(nb::handle inverse_depth, nb::handle others, nb::han
         if (sure[i].shape(0) != maps[i].shape(0) || sure[i].shape(1) != maps[i].shape(1)) {
             refuse_value("confident", "sizes as of others expected");
         }
-        neighbours.push_back(
-            {maps[i].as<ScalarImage>(), sure[i].data(), to.data() + 12 * i, from.data() + 12 * i});
+        neighbours.push_back({maps[i], sure[i].data(), to.data() + 12 * i, from.data() + 12 * i});
     }
     const auto trust = static_cast<float>(number_from(0.0, unsure_trust, "unsure_trust"));
     const double share = number_from(0.0, agreement, "agreement");
     NewArray<float> fused({own.shape(0), own.shape(1)}), votes({own.shape(0), own.shape(1)});
     {
         const nb::gil_scoped_release unlocked;
-        LFNAV_BEST(fuse_depth)(own.as<ScalarImage>(), neighbours, trust, share, fused.values.data(),
-                               votes.values.data());
+        fuse_depth(own, neighbours, trust, share, fused.values.data(), votes.values.data());
     }
     return nb::make_tuple(fused.array, votes.array);
-}
-
-nb::object python_complete_depth(nb::handle inverse_depth, nb::handle known) {
-    const ImageArgument<float> own(inverse_depth, "inverse_depth");
-    const ImageArgument<bool> kept(known, "known", own.shape(0), own.shape(1));
-    NewArray<float> completed({own.shape(0), own.shape(1)});
-    {
-        const nb::gil_scoped_release unlocked;
-        LFNAV_BEST(complete_depth)(own.as<ScalarImage>(), kept.data(), completed.values.data());
-    }
-    return nb::cast(completed.array);
 }
 
 }  // namespace
@@ -165,8 +135,6 @@ void bind_depth(nb::module_& module) {
     module.def("fuse_depth", &python_fuse_depth, argument("inverse_depth"), argument("others"),
                argument("confident"), argument("to_view"), argument("from_view"),
                argument("unsure_trust"), argument("agreement"));
-    module.def("complete_depth", &python_complete_depth, argument("inverse_depth"),
-               argument("known"));
 }
 
-}  // namespace lfnav
+}  // namespace lfnav::LFNAV_LEVEL

@@ -20,37 +20,38 @@ namespace lfnav::LFNAV_LEVEL {
 
 class DepthSurface final : public Surface {
   public:
-    DepthSurface(const LightField& field, const VirtualViews& views)
+    DepthSurface(const LightField& field, const VirtualViews& views, const DepthSamples& samples)
         : photos_(field.photos),
           settings_(field.depth_grid),
           views_(views),
+          samples_(samples),
           grid_{side(views.width), side(views.height)},
           nearest_(grid_.count() + Splatting::ELSEWHERE),
           vertices_(grid_.count()) {}
 
-    void prepare(Places& places) const override {
-        const std::size_t count = places.count();
-        places.vertex.resize(count + TOGETHER);
-        places.right.resize(count + TOGETHER);
-        places.below.resize(count + TOGETHER);
+    void prepare(ImagePoints& points) const override {
+        const std::size_t count = points.count();
+        points.vertex.resize(count + TOGETHER);
+        points.right.resize(count + TOGETHER);
+        points.below.resize(count + TOGETHER);
         for (std::size_t i = 0; i < count; ++i) {
-            const double x = static_cast<double>(places.x[i]) / views_.spacing;
-            const double y = static_cast<double>(places.y[i]) / views_.spacing;
+            const double x = static_cast<double>(points.x[i]) / views_.spacing;
+            const double y = static_cast<double>(points.y[i]) / views_.spacing;
             const std::size_t column = std::min(static_cast<std::size_t>(x), grid_.width - 1);
             const std::size_t row = std::min(static_cast<std::size_t>(y), grid_.height - 1);
-            places.vertex[i] = static_cast<std::int32_t>((row + 1) * grid_.stride() + column + 1);
-            places.right[i] = static_cast<float>(x - static_cast<double>(column));
-            places.below[i] = static_cast<float>(y - static_cast<double>(row));
+            points.vertex[i] = static_cast<std::int32_t>((row + 1) * grid_.stride() + column + 1);
+            points.right[i] = static_cast<float>(x - static_cast<double>(column));
+            points.below[i] = static_cast<float>(y - static_cast<double>(row));
         }
     }
 
-    void look_from(const VirtualCamera& camera, std::size_t number) override {
+    void set_camera(const VirtualCamera& camera, std::size_t number) override {
         std::fill(nearest_.begin(), nearest_.end(), 0.0F);
         const std::int32_t* const sources = views_.sources + views_.most_sources * number;
         for (std::size_t i = 0; i < views_.most_sources && sources[i] >= 0; ++i) {
             const auto photo = static_cast<std::size_t>(sources[i]);
             const DepthProjection projection(photos_, photo, camera, views_.spacing, grid_);
-            splatting_(*views_.samples, photo, projection, grid_, nearest_.data());
+            splatting_(samples_, photo, projection, grid_, nearest_.data());
         }
         keep_solid();
         close_gaps();
@@ -64,24 +65,24 @@ class DepthSurface final : public Surface {
     }
 
     /// Bilinear between vertices of one surface; across an edge, or a gap, the nearest vertex.
-    void set_inverse_depths(const Places& places, float* inverse_depths) const override {
-        const std::size_t count = places.count();
+    void set_inverse_depths(const ImagePoints& points, float* inverse_depths) const override {
+        const std::size_t count = points.count();
         const auto stride = static_cast<std::int32_t>(grid_.stride());
         const float* const vertices = vertices_.data();
         const float edge = settings_.edge_factor;
 #pragma omp simd
         for (std::size_t i = 0; i < count; ++i) {
-            const std::int32_t vertex = places.vertex[i];
+            const std::int32_t vertex = points.vertex[i];
             const float a = vertices[vertex], b = vertices[vertex + 1];
             const float c = vertices[vertex + stride], d = vertices[vertex + stride + 1];
             const float low = std::min(std::min(a, b), std::min(c, d));
             const float high = std::max(std::max(a, b), std::max(c, d));
-            const float right = places.right[i], below = places.below[i];
+            const float right = points.right[i], below = points.below[i];
             const float left_side = a + (c - a) * below, right_side = b + (d - b) * below;
             const float between = left_side + (right_side - left_side) * right;
             const float upper = right >= 0.5F ? b : a, lower = right >= 0.5F ? d : c;
             const float nearest = below >= 0.5F ? lower : upper;
-            inverse_depths[i] = (low > 0.0F) & (high <= edge * low) ? between : nearest;
+            inverse_depths[i] = ((low > 0.0F) & (high <= edge * low)) ? between : nearest;
         }
     }
 
@@ -174,6 +175,7 @@ class DepthSurface final : public Surface {
     Photos photos_;
     DepthGridSettings settings_;
     VirtualViews views_;
+    DepthSamples samples_;
     VertexGrid grid_;
     /// Inverse depths: the nearest sample at each vertex, and what is left of them.
     std::vector<float> nearest_, vertices_;

@@ -76,15 +76,14 @@ class HoleFilling {
     /// Finds for each uncovered pixel the photo with the nearest projected centre that shows it.
     ///
     /// @param usable: (N,) which photos may.
-    /// @param homography: makes that of a photo, or has it.
+    /// @param homographies: for the camera.
     /// @param pixels: of the image that is made, row by row, with
     /// @param inverse_depths: of the surface.
     /// @param image: (P, 4) where the last number is 0, the pixel is not covered.
-    template <typename HomographyOf>
     std::span<const Found> operator()(const Photos& photos, const bool* usable,
-                                      const VirtualCamera& camera, HomographyOf homography,
-                                      const Places& pixels, std::span<const float> inverse_depths,
-                                      const float* image) {
+                                      const VirtualCamera& camera, Homographies& homographies,
+                                      const ImagePoints& pixels,
+                                      std::span<const float> inverse_depths, const float* image) {
         found_.clear();
         candidates_.clear();
         const auto is_hole = [&](std::size_t i) {
@@ -100,7 +99,7 @@ class HoleFilling {
             return {};
         }
         for (std::size_t photo = 0; photo < photos.count; ++photo) {
-            if (usable[photo] && may_show(photos, photo, homography(photo), all)) {
+            if (usable[photo] && may_show(photos, photo, homographies[photo], all)) {
                 candidates_.push_back(
                     {photo, projected_centre(photos.centres + 3 * photo, camera)});
             }
@@ -119,13 +118,13 @@ class HoleFilling {
             }
             in_row_.clear();
             for (const Candidate& one : candidates_) {
-                if (may_show(photos, one.photo, homography(one.photo), box)) {
+                if (may_show(photos, one.photo, homographies[one.photo], box)) {
                     in_row_.push_back(one);
                 }
             }
             for (std::size_t i = first; i < last && !in_row_.empty(); ++i) {
                 if (is_hole(i)) {
-                    find(photos, homography, pixels.x[i], pixels.y[i], inverse_depths[i], i);
+                    find(photos, homographies, pixels.x[i], pixels.y[i], inverse_depths[i], i);
                 }
             }
         }
@@ -140,8 +139,7 @@ class HoleFilling {
 
     /// One that has something nearer before the pixel's surface point is taken only where all have:
     /// depth maps are not exact enough to leave holes.
-    template <typename HomographyOf>
-    void find(const Photos& photos, HomographyOf homography, double x, double y,
+    void find(const Photos& photos, Homographies& homographies, double x, double y,
               double inverse_depth, std::size_t number) {
         // Of those that do not have, and of those that have.
         double shortest[2] = {PixelBox::LARGEST, PixelBox::LARGEST};
@@ -152,7 +150,7 @@ class HoleFilling {
             if (distance >= shortest[0]) {
                 continue;
             }
-            const Place place = homography(one.photo).locate(x, y, inverse_depth);
+            const Place place = homographies[one.photo].locate(x, y, inverse_depth);
             if (place.depth <= 0.0 || !is_inside(photos, one.photo, place)) {
                 continue;
             }

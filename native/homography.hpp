@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <vector>
 
 #include "level.hpp"
 #include "light_field.hpp"
@@ -106,6 +107,35 @@ struct Homography {
         }
         return {row(0, x, y, inverse_depth) / depth, row(1, x, y, inverse_depth) / depth, depth};
     }
+};
+
+/// The homographies into all photos for one virtual camera after the other, each made when it is
+/// asked for first.
+class Homographies {
+  public:
+    Homographies(const Photos& photos, const Middle& middle)
+        : photos_(photos), middle_(middle), all_(photos.count), is_made_(photos.count) {}
+
+    /// @param camera: has to stay as long as homographies are asked for.
+    void begin(const VirtualCamera& camera) {
+        camera_ = &camera;
+        std::fill(is_made_.begin(), is_made_.end(), std::uint8_t{0});
+    }
+
+    LFNAV_INLINE const Homography& operator[](std::size_t photo) {
+        if (is_made_[photo] == 0) {
+            all_[photo].set(photos_, photo, *camera_, middle_);
+            is_made_[photo] = 1;
+        }
+        return all_[photo];
+    }
+
+  private:
+    Photos photos_;
+    Middle middle_;
+    const VirtualCamera* camera_ = nullptr;
+    std::vector<Homography> all_;
+    std::vector<std::uint8_t> is_made_;
 };
 
 /// Whether a place is inside a photo's image.

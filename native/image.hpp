@@ -7,29 +7,19 @@
 
 namespace lfnav {
 
-/// An image (H, W, 4) of floats, row by row: colours or other channels, and as the fourth number of
-/// a pixel 1 where there is one, and 0 where not.
-struct MaskedImage {
-    const float* data;
+/// An image (H, W) or (H, W, CHANNELS), row by row.
+template <typename Element, std::size_t CHANNELS = 1>
+struct Image {
+    const Element* data;
     std::size_t height, width;
 
-    const float* row(std::size_t y) const { return data + 4 * width * y; }
+    const Element* row(std::size_t y) const { return data + CHANNELS * width * y; }
 };
 
-/// One float a pixel (H, W), row by row.
-struct ScalarImage {
-    const float* data;
-    std::size_t height, width;
-
-    const float* row(std::size_t y) const { return data + width * y; }
-};
-
-/// Grey levels (H, W), row by row.
-struct GreyImage {
-    const std::uint8_t* data;
-    std::size_t height, width;
-
-    const std::uint8_t* row(std::size_t y) const { return data + width * y; }
-};
+/// Colours or other channels, and as the fourth number of a pixel 1 where there is one, else 0.
+using MaskedImage = Image<float, 4>;
+using ScalarImage = Image<float>;
+/// Grey levels.
+using GreyImage = Image<std::uint8_t>;
 
 }  // namespace lfnav

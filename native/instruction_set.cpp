@@ -2,20 +2,18 @@
 
 #include <algorithm>
 #include <array>
+#include <cstddef>
 #include <cstdlib>
 #include <stdexcept>
 #include <string>
-#include <utility>
 
 namespace lfnav {
 
 namespace {
 
 constexpr const char* VARIABLE = "LFNAV_INSTRUCTION_SET";
-constexpr std::array<std::pair<InstructionSet, std::string_view>, 3> NAMES{
-    {{InstructionSet::BASELINE, "baseline"},
-     {InstructionSet::X86_64_V3, "x86-64-v3"},
-     {InstructionSet::X86_64_V4, "x86-64-v4"}}};
+/// In the order of InstructionSet.
+constexpr std::array<std::string_view, 3> NAMES{"baseline", "x86-64-v3", "x86-64-v4"};
 
 InstructionSet of_processor() {
 #ifdef LFNAV_SEVERAL_LEVELS
@@ -47,9 +45,9 @@ InstructionSet chosen() {
     if (wanted == nullptr) {
         return best;
     }
-    for (const auto& [level, name] : NAMES) {
-        if (name == wanted) {
-            return std::min(level, best);
+    for (std::size_t level = 0; level < NAMES.size(); ++level) {
+        if (NAMES[level] == wanted) {
+            return std::min(static_cast<InstructionSet>(level), best);
         }
     }
     throw std::invalid_argument(std::string(VARIABLE) + " is '" + wanted +
@@ -63,13 +61,6 @@ InstructionSet instruction_set() {
     return level;
 }
 
-std::string_view name_of(InstructionSet level) {
-    for (const auto& [own, name] : NAMES) {
-        if (own == level) {
-            return name;
-        }
-    }
-    return "unknown";
-}
+std::string_view name_of(InstructionSet level) { return NAMES[static_cast<std::size_t>(level)]; }
 
 }  // namespace lfnav

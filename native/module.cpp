@@ -5,13 +5,8 @@
 
 #include <stdexcept>
 
-#include "alignment_binding.hpp"
-#include "brightness_binding.hpp"
-#include "delaunay_binding.hpp"
-#include "depth_binding.hpp"
+#include "bindings.hpp"
 #include "instruction_set.hpp"
-#include "mixture_density_binding.hpp"
-#include "renderer_binding.hpp"
 
 namespace {
 
@@ -33,15 +28,15 @@ void check_instruction_set() {
 }  // namespace
 
 NB_MODULE(native, module) {
+    using namespace lfnav;
     module.doc() = "The C++ core: what is done for every pixel of every particle.";
     check_instruction_set();
     module.def(
-        "instruction_set", [] { return lfnav::name_of(lfnav::instruction_set()); },
+        "instruction_set", [] { return name_of(instruction_set()); },
         "Name of the processor's level, of those that the core is compiled for.");
-    lfnav::bind_alignment(module);
-    lfnav::bind_brightness(module);
-    lfnav::bind_delaunay(module);
-    lfnav::bind_depth(module);
-    lfnav::bind_mixture_density(module);
-    lfnav::bind_renderer(module);
+    LFNAV_BEST(bind_alignment)(module);
+    LFNAV_BEST(bind_delaunay)(module);
+    LFNAV_BEST(bind_depth)(module);
+    LFNAV_BEST(bind_mixture_density)(module);
+    LFNAV_BEST(bind_renderer)(module);
 }

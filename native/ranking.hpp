@@ -29,7 +29,7 @@ constexpr float NEVER = std::numeric_limits<float>::infinity();
 struct SurfacePoints {
     alignas(64) float x[POINTS], y[POINTS], z[POINTS];
     alignas(64) float direction_x[POINTS], direction_y[POINTS], direction_z[POINTS];
-    alignas(64) float nearness[POINTS];
+    alignas(64) float inverse_distance[POINTS];
 };
 
 /// The best photos at points, the best first; the penalty is infinite where there is none.
@@ -64,30 +64,36 @@ LFNAV_INLINE void set_points(const VirtualCamera& camera, const double* origin,
         points.direction_x[i] = static_cast<float>(rx * shrink);
         points.direction_y[i] = static_cast<float>(ry * shrink);
         points.direction_z[i] = static_cast<float>(rz * shrink);
-        points.nearness[i] = static_cast<float>(shrink / distance);
+        points.inverse_distance[i] = static_cast<float>(shrink / distance);
     }
 }
 
 /// A surface point, or as many as a vector has numbers.
 template <typename Vector>
 struct PointVector {
-    Vector x, y, z, direction_x, direction_y, direction_z, nearness;
+    Vector x, y, z, direction_x, direction_y, direction_z, inverse_distance;
 
     /// Points that follow each other.
     LFNAV_INLINE static PointVector at(const SurfacePoints& points, std::size_t i) {
-        return {loaded<Vector>(points.x + i),           loaded<Vector>(points.y + i),
-                loaded<Vector>(points.z + i),           loaded<Vector>(points.direction_x + i),
-                loaded<Vector>(points.direction_y + i), loaded<Vector>(points.direction_z + i),
-                loaded<Vector>(points.nearness + i)};
+        return {loaded<Vector>(points.x + i),
+                loaded<Vector>(points.y + i),
+                loaded<Vector>(points.z + i),
+                loaded<Vector>(points.direction_x + i),
+                loaded<Vector>(points.direction_y + i),
+                loaded<Vector>(points.direction_z + i),
+                loaded<Vector>(points.inverse_distance + i)};
     }
 
     /// The same point everywhere.
     LFNAV_INLINE static PointVector repeated(const SurfacePoints& points, std::size_t i) {
         const Vector zero = {};
-        return {zero + points.x[i],           zero + points.y[i],
-                zero + points.z[i],           zero + points.direction_x[i],
-                zero + points.direction_y[i], zero + points.direction_z[i],
-                zero + points.nearness[i]};
+        return {zero + points.x[i],
+                zero + points.y[i],
+                zero + points.z[i],
+                zero + points.direction_x[i],
+                zero + points.direction_y[i],
+                zero + points.direction_z[i],
+                zero + points.inverse_distance[i]};
     }
 };
 
@@ -127,7 +133,7 @@ LFNAV_INLINE Sight<Vector> sight_of(const PointVector<Vector>& point, NumberAt n
     };
     const Vector u = row(0), v = row(4), depth = row(8);
     const Deviation<Vector> from(point, number(12), number(13), number(14));
-    const Vector coarser = larger(from.distance * point.nearness - 1.0F, zero);
+    const Vector coarser = larger(from.distance * point.inverse_distance - 1.0F, zero);
     // All times the depth, which spares a division.
     const Vector half = 0.5F * depth, strip = number(17) * depth;
     const Vector across = smaller(u + half, number(15) * depth - half - u);

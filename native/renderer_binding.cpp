@@ -1,70 +1,30 @@
-#include "renderer_binding.hpp"
+// Python's LightField and VirtualViews, and image_cost.
+
+#include "renderer.hpp"
 
 #include <algorithm>
-#include <cmath>
 #include <cstdint>
+#include <functional>
 #include <limits>
+#include <optional>
 #include <string>
 
-#include "array_argument.hpp"
-#include "delaunay_binding.hpp"
-#include "renderer.hpp"
+#include "arguments.hpp"
+#include "bindings.hpp"
+#include "comparison.hpp"
+#include "source_views.hpp"
 
 namespace nb = nanobind;
 
-namespace lfnav {
+namespace lfnav::LFNAV_LEVEL {
 
 namespace {
-
-/// Columns, or rows, of an image, none of which goes back.
-void check_places(std::span<const std::int64_t> places, std::size_t length, const char* name) {
-    std::int64_t before = 0;
-    for (const std::int64_t place : places) {
-        if (place < before || place >= static_cast<std::int64_t>(length)) {
-            refuse_value(name, "rising numbers within the image expected");
-        }
-        before = place;
-    }
-}
 
 /// A light field: keeps its arrays, checked once.
 class PythonLightField {
   public:
-    PythonLightField(nb::handle texels, nb::handle level_start, nb::handle level_size,
-                     nb::handle projection, nb::handle rays, nb::handle centres, nb::handle focal,
-                     nb::handle inverse_depth, nb::handle depth_start, nb::handle depth_size,
-                     nb::handle pooled_depth, nb::handle pooled_start, nb::handle usable,
-                     nb::handle origin, nb::handle order, nb::handle numbers, nb::handle members,
-                     nb::handle blocks, nb::handle groups, nb::handle plane,
-                     nb::handle depth_settings, nb::handle penalties, nb::handle most_ranked,
-                     nb::handle smallest_weight, bool has_mesh, nb::handle mesh)
-        : texels_(texels, "texels", {ANY, 4}),
-          level_start_(level_start, "level_start", {ANY, ANY}),
-          level_size_(level_size, "level_size", {photos(), levels(), 2}),
-          projection_(projection, "projection", {photos(), 3, 4}),
-          rays_(rays, "rays", {photos(), 3, 3}),
-          centres_(centres, "centres", {photos(), 3}),
-          focal_(focal, "focal", {photos()}),
-          inverse_depth_(inverse_depth, "inverse_depth", {ANY}),
-          depth_start_(depth_start, "depth_start", {photos()}),
-          depth_size_(depth_size, "depth_size", {photos(), 2}),
-          pooled_depth_(pooled_depth, "pooled_depth", {ANY}),
-          pooled_start_(pooled_start, "pooled_start", {photos()}),
-          usable_(usable, "usable", {photos()}),
-          origin_(origin, "origin", {3}),
-          order_(order, "order", {ANY}),
-          numbers_(numbers, "numbers", {ranked() * PhotoIndex::PHOTO_NUMBERS}),
-          members_(members, "members", {ANY}),
-          blocks_(blocks, "blocks", {members_.shape(0) * PhotoIndex::PHOTO_NUMBERS}),
-          groups_(groups, "groups", {group_count() * PhotoIndex::GROUP_NUMBERS}),
-          plane_(plane, "plane", {4}),
-          depth_settings_(depth_settings, "depth_settings", {5}),
-          penalties_(penalties, "penalties", {4}),
-          most_ranked_(integer_between(1, std::numeric_limits<std::int32_t>::max(), most_ranked,
-                                       "most_ranked")),
-          smallest_weight_(positive_number(smallest_weight, "smallest_weight")),
-          has_mesh_(has_mesh),
-          mesh_(mesh, "mesh", {4}) {
+    explicit PythonLightField(const nb::kwargs& arguments) : given_(arguments) {
+        given_.end();
         check_levels();
         check_depth_maps();
         check_range(order_.span(), 0, photos(), "order");
@@ -91,7 +51,7 @@ class PythonLightField {
             most_ranked_,
             static_cast<float>(smallest_weight_),
             has_mesh_,
-            mesh_settings(mesh_)};
+            MeshSettings::of(mesh_.data())};
     }
 
   private:
@@ -105,42 +65,31 @@ class PythonLightField {
         if (levels() < 1 || levels() > 32) {
             refuse_value("level_start", "from 1 to 32 levels expected");
         }
-        const auto count = static_cast<std::int64_t>(texels_.shape(0));
+        check_range(level_size_.span(), 1, LONGEST_SIDE + 1, "level_size");
         for (std::size_t i = 0; i < level_start_.span().size(); ++i) {
-            const std::int64_t start = level_start_.data()[i];
             const std::int64_t width = level_size_.data()[2 * i];
             const std::int64_t height = level_size_.data()[2 * i + 1];
-            if (width < 1 || height < 1 || width > MOST || height > MOST) {
-                refuse_value("level_size", "sides from 1 to 32768 pixels expected");
-            }
-            if (start < 0 || start > count || (height + 1) * width + 2 > count - start) {
-                refuse_value("level_start", "a level ends beyond the texels");
-            }
+            check_part(level_start_.data()[i], (height + 1) * width + 2, texels_.shape(0),
+                       "level_start");
         }
     }
 
     /// Depth maps, and what is pooled of them, are within their arrays.
     void check_depth_maps() {
         constexpr std::int64_t pooling = Photos::POOLING;
+        check_range(depth_size_.span(), 0, LONGEST_SIDE + 1, "depth_size");
         for (std::size_t photo = 0; photo < photos(); ++photo) {
             const std::int64_t width = depth_size_.data()[2 * photo];
             const std::int64_t height = depth_size_.data()[2 * photo + 1];
-            if (width < 0 || width > MOST || height < 0 || height > MOST ||
-                (width == 0) != (height == 0)) {
-                refuse_value("depth_size", "0, or sides from 1 to 32768 pixels expected");
+            if ((width == 0) != (height == 0)) {
+                refuse_value("depth_size", "two sides or none expected");
             }
             has_depth_ = has_depth_ || width > 0;
-            const auto check = [](const ArrayArgument<float>& values, std::int64_t start,
-                                  std::int64_t size, const char* name) {
-                const auto count = static_cast<std::int64_t>(values.shape(0));
-                if (start < 0 || start > count || size > count - start) {
-                    refuse_value(name, "a depth map ends beyond the values");
-                }
-            };
-            check(inverse_depth_, depth_start_.data()[photo], width * height, "depth_start");
-            check(pooled_depth_, pooled_start_.data()[photo],
-                  (width + pooling - 1) / pooling * ((height + pooling - 1) / pooling),
-                  "pooled_start");
+            check_part(depth_start_.data()[photo], width * height, inverse_depth_.shape(0),
+                       "depth_start");
+            check_part(pooled_start_.data()[photo],
+                       (width + pooling - 1) / pooling * ((height + pooling - 1) / pooling),
+                       pooled_depth_.shape(0), "pooled_start");
         }
         const double* const settings = depth_settings_.data();
         for (std::size_t i = 0; i < 5; ++i) {
@@ -151,73 +100,116 @@ class PythonLightField {
         }
     }
 
-    static constexpr auto MOST = static_cast<std::int64_t>(LONGEST_SIDE);
+    /// Whether so many elements from a start on are within an array of a length.
+    static void check_part(std::int64_t start, std::int64_t size, std::size_t length,
+                           const char* name) {
+        const auto count = static_cast<std::int64_t>(length);
+        if (start < 0 || start > count || size > count - start) {
+            refuse_value(name, "an image or depth map ends beyond the array");
+        }
+    }
 
-    ArrayArgument<std::uint8_t> texels_;
-    ArrayArgument<std::int64_t> level_start_, level_size_;
-    ArrayArgument<double> projection_, rays_, centres_, focal_;
-    ArrayArgument<float> inverse_depth_;
-    ArrayArgument<std::int64_t> depth_start_, depth_size_;
-    ArrayArgument<float> pooled_depth_;
-    ArrayArgument<std::int64_t> pooled_start_;
-    ArrayArgument<bool> usable_;
-    ArrayArgument<double> origin_;
-    ArrayArgument<std::int32_t> order_;
-    ArrayArgument<float> numbers_;
-    ArrayArgument<std::int32_t> members_;
-    ArrayArgument<float> blocks_, groups_;
-    ArrayArgument<double> plane_, depth_settings_, penalties_;
+    NamedArguments given_;
+    ArrayArgument<std::uint8_t> texels_{given_, "texels", {ANY, 4}};
+    ArrayArgument<std::int64_t> level_start_{given_, "level_start", {ANY, ANY}};
+    ArrayArgument<std::int64_t> level_size_{given_, "level_size", {photos(), levels(), 2}};
+    ArrayArgument<double> projection_{given_, "projection", {photos(), 3, 4}};
+    ArrayArgument<double> rays_{given_, "rays", {photos(), 3, 3}};
+    ArrayArgument<double> centres_{given_, "centres", {photos(), 3}};
+    ArrayArgument<double> focal_{given_, "focal", {photos()}};
+    ArrayArgument<float> inverse_depth_{given_, "inverse_depth", {ANY}};
+    ArrayArgument<std::int64_t> depth_start_{given_, "depth_start", {photos()}};
+    ArrayArgument<std::int64_t> depth_size_{given_, "depth_size", {photos(), 2}};
+    ArrayArgument<float> pooled_depth_{given_, "pooled_depth", {ANY}};
+    ArrayArgument<std::int64_t> pooled_start_{given_, "pooled_start", {photos()}};
+    ArrayArgument<bool> usable_{given_, "usable", {photos()}};
+    ArrayArgument<double> origin_{given_, "origin", {3}};
+    ArrayArgument<std::int32_t> order_{given_, "order", {ANY}};
+    ArrayArgument<float> numbers_{given_, "numbers", {ranked() * PhotoIndex::PHOTO_NUMBERS}};
+    ArrayArgument<std::int32_t> members_{given_, "members", {ANY}};
+    ArrayArgument<float> blocks_{given_, "blocks", {members_.shape(0) * PhotoIndex::PHOTO_NUMBERS}};
+    ArrayArgument<float> groups_{given_, "groups", {group_count() * PhotoIndex::GROUP_NUMBERS}};
+    ArrayArgument<double> plane_{given_, "plane", {4}};
+    ArrayArgument<double> depth_settings_{given_, "depth_settings", {5}};
+    ArrayArgument<double> penalties_{given_, "penalties", {4}};
+    std::size_t most_ranked_ = integer_between(1, std::numeric_limits<std::int32_t>::max(),
+                                               given_.take("most_ranked"), "most_ranked");
+    double smallest_weight_ = positive_number(given_.take("smallest_weight"), "smallest_weight");
+    bool has_mesh_ = truth(given_.take("has_mesh"), "has_mesh");
+    ArrayArgument<double> mesh_{given_, "mesh", {4}};
     bool has_depth_ = false;
-    std::size_t most_ranked_;
-    double smallest_weight_;
-    bool has_mesh_;
-    ArrayArgument<double> mesh_;
+};
+
+/// DepthSamples of Python's: keeps its arrays, checked once.
+class PythonDepthSamples {
+  public:
+    PythonDepthSamples(const nb::tuple& arrays, std::size_t photos)
+        : values_(arrays[0], "samples", {ANY, 3, DepthSamples::BATCH}),
+          boxes_(arrays[1], "samples", {6, ANY}),
+          starts_(arrays[2], "samples", {ANY}),
+          ends_(arrays[3], "samples", {starts_.shape(0)}) {
+        if (starts_.shape(0) != photos) {
+            refuse_value("samples", "those of this light field expected");
+        }
+        const std::size_t batches = values_.shape(0);
+        check_range(starts_.span(), 0, batches + 1, "samples");
+        check_range(ends_.span(), 0, batches + 1, "samples");
+        if (boxes_.shape(1) < batches + DepthSamples::BATCHES) {
+            refuse_value("samples", "boxes of 16 batches more than there are expected");
+        }
+    }
+
+    DepthSamples samples() const {
+        return {starts_.span(), ends_.span(), values_.data(), boxes_.data(), boxes_.shape(1)};
+    }
+
+    static std::optional<PythonDepthSamples> of(nb::handle given, std::size_t photos) {
+        if (given.is_none()) {
+            return std::nullopt;
+        }
+        if (!nb::isinstance<nb::tuple>(given) || nb::len(given) != 4) {
+            refuse_type("samples", "DepthSamples or None expected");
+        }
+        return PythonDepthSamples(nb::borrow<nb::tuple>(given), photos);
+    }
+
+  private:
+    ArrayArgument<float> values_, boxes_;
+    ArrayArgument<std::int64_t> starts_, ends_;
+};
+
+/// Columns, or rows, of an image, none of which goes back.
+class PlacesArgument {
+  public:
+    PlacesArgument(NamedArguments& given, const char* name, std::size_t count, std::size_t length)
+        : places_(given, name, {count}) {
+        check_range(places_.span(), 0, length, name);
+        if (places_.shape(0) < 2 || !std::ranges::is_sorted(places_.span())) {
+            refuse_value(name, "two rising numbers or more expected");
+        }
+    }
+
+    std::span<const std::int64_t> span() const { return places_.span(); }
+
+  private:
+    ArrayArgument<std::int64_t> places_;
 };
 
 /// Views of a light field: keeps its arrays, checked once. Python keeps the light field as long.
 class PythonVirtualViews {
   public:
-    PythonVirtualViews(const PythonLightField& field, nb::handle poses, nb::handle intrinsics,
-                       nb::handle across, nb::handle down, nb::handle outlook_across,
-                       nb::handle outlook_down, nb::handle frustum_across, nb::handle frustum_down,
-                       nb::handle pixels, nb::handle width, nb::handle height, nb::handle samples,
-                       nb::handle sources, nb::handle spacing)
-        : field_(field),
-          poses_(poses, "poses", {ANY, 4, 4}),
-          intrinsics_(intrinsics, "intrinsics", {ANY}),
-          across_(across, "across", {ANY}),
-          down_(down, "down", {ANY}),
-          outlook_across_(outlook_across, "outlook_across", {4}),
-          outlook_down_(outlook_down, "outlook_down", {4}),
-          frustum_across_(frustum_across, "frustum_across", {ANY}),
-          frustum_down_(frustum_down, "frustum_down", {ANY}),
-          pixels_(pixels, "pixels", {ANY}),
-          width_(integer_between(1, LONGEST_SIDE, width, "width")),
-          height_(integer_between(1, LONGEST_SIDE, height, "height")),
-          sources_(sources, "sources", {count(), ANY}),
-          spacing_(number_from(1.0, spacing, "spacing")),
-          samples_owner_(nb::borrow(samples)) {
-        const std::size_t photos = field.light_field().photos.count;
-        if (!samples.is_none() && !nb::try_cast(samples, samples_)) {
-            throw nb::type_error("samples: DepthSamples or None expected");
+    PythonVirtualViews(const PythonLightField& field, const nb::kwargs& arguments)
+        : field_(field), given_(arguments) {
+        given_.end();
+        check_range(sources_.span(), -1, photos(), "sources");
+        check_range(pixels_.span(), 0, width_ * height_, "pixels");
+        if (std::ranges::adjacent_find(pixels_.span(), std::greater_equal()) !=
+            pixels_.span().end()) {
+            refuse_value("pixels", "rising numbers expected");
         }
-        if (samples_ != nullptr && samples_->starts.size() != photos) {
-            refuse_value("samples", "those of this light field expected");
-        }
-        check_range(sources_.span(), -1, photos, "sources");
         if (intrinsics_.shape(0) < 4) {
             refuse_value("intrinsics", "fx, fy, cx, cy expected");
         }
-        if (across_.shape(0) < 2 || down_.shape(0) < 2) {
-            refuse_value(across_.shape(0) < 2 ? "across" : "down", "at least two corners expected");
-        }
-        check_places(across_.span(), width_, "across");
-        check_places(down_.span(), height_, "down");
-        check_places(outlook_across_.span(), width_, "outlook_across");
-        check_places(outlook_down_.span(), height_, "outlook_down");
-        check_places(frustum_across_.span(), width_, "frustum_across");
-        check_places(frustum_down_.span(), height_, "frustum_down");
-        check_range(pixels_.span(), 0, width_ * height_, "pixels");
     }
 
     std::size_t count() const { return poses_.shape(0); }
@@ -230,41 +222,36 @@ class PythonVirtualViews {
                 intrinsics_.data(),
                 width_,
                 height_,
-                {across_.span(), down_.span(), outlook_across_.span(), outlook_down_.span(),
+                {across_.span(), down_.span(), probes_across_.span(), probes_down_.span(),
                  frustum_across_.span(), frustum_down_.span()},
                 pixels_.span(),
-                samples_,
+                samples_ ? std::optional(samples_->samples()) : std::nullopt,
                 sources_.data(),
                 sources_.shape(1),
                 spacing_};
     }
 
   private:
-    const PythonLightField& field_;
-    ArrayArgument<double> poses_, intrinsics_;
-    ArrayArgument<std::int64_t> across_, down_, outlook_across_, outlook_down_, frustum_across_,
-        frustum_down_;
-    ArrayArgument<std::int32_t> pixels_;
-    std::size_t width_, height_;
-    ArrayArgument<std::int32_t> sources_;
-    double spacing_;
-    nb::object samples_owner_;
-    const DepthSamples* samples_ = nullptr;
-};
+    std::size_t photos() const { return field_.light_field().photos.count; }
 
-DepthSamples python_depth_samples(const PythonLightField& self, nb::handle is_source,
-                                  nb::handle steps) {
-    const Photos photos = self.light_field().photos;
-    const ArrayArgument<bool> wanted(is_source, "is_source", {photos.count});
-    const ArrayArgument<double> distances(steps, "steps", {photos.count});
-    for (const double step : distances.span()) {
-        if (!(step >= 1.0)) {
-            refuse_value("steps", "at least 1 pixel expected");
-        }
-    }
-    const nb::gil_scoped_release unlocked;
-    return DepthSamples(photos, wanted.span(), distances.span());
-}
+    const PythonLightField& field_;
+    NamedArguments given_;
+    ArrayArgument<double> poses_{given_, "poses", {ANY, 4, 4}};
+    ArrayArgument<double> intrinsics_{given_, "intrinsics", {ANY}};
+    std::size_t width_ = integer_between(1, LONGEST_SIDE, given_.take("width"), "width");
+    std::size_t height_ = integer_between(1, LONGEST_SIDE, given_.take("height"), "height");
+    PlacesArgument across_{given_, "across", ANY, width_};
+    PlacesArgument down_{given_, "down", ANY, height_};
+    PlacesArgument probes_across_{given_, "probes_across", 4, width_};
+    PlacesArgument probes_down_{given_, "probes_down", 4, height_};
+    PlacesArgument frustum_across_{given_, "frustum_across", ANY, width_};
+    PlacesArgument frustum_down_{given_, "frustum_down", ANY, height_};
+    ArrayArgument<std::int32_t> pixels_{given_, "pixels", {ANY}};
+    std::optional<PythonDepthSamples> samples_ =
+        PythonDepthSamples::of(given_.take("samples"), photos());
+    ArrayArgument<std::int32_t> sources_{given_, "sources", {count(), ANY}};
+    double spacing_ = number_from(1.0, given_.take("spacing"), "spacing");
+};
 
 nb::object python_sources(const PythonLightField& self, nb::handle poses,
                           nb::handle usual_inverse_depth, nb::handle turn_cost, nb::handle most) {
@@ -284,36 +271,27 @@ nb::object python_sources(const PythonLightField& self, nb::handle poses,
 }
 
 nb::tuple python_render(const PythonVirtualViews& self) {
-    const LightField field = self.light_field();
-    const VirtualViews views = self.views();
     NewArray<float> images({self.count(), self.pixels(), 4});
     NewArray<float> inverse_depths({self.count(), self.pixels()});
     {
         const nb::gil_scoped_release unlocked;
-        LFNAV_BEST(render)(field, views, images.values.data(), inverse_depths.values.data());
+        render(self.light_field(), self.views(), images.values.data(),
+               inverse_depths.values.data());
     }
     return nb::make_tuple(images.array, inverse_depths.array);
 }
 
-/// How views are compared with a camera image: arguments of a function of Python's.
+/// How views are compared with a camera image: keeps its arrays, checked.
 class ComparisonArgument {
   public:
-    ComparisonArgument(nb::handle query, nb::handle cost, bool fit_gain, nb::handle limits,
-                       nb::handle uncovered, nb::handle table, nb::handle evidence_bin)
-        : query_(query, "query"),
-          cost_(static_cast<Cost>(integer_between(0, 4, cost, "cost"))),
-          fit_gain_(fit_gain),
-          limits_(limits, "limits", {3}),
-          uncovered_(uncovered, "uncovered", {4}),
-          table_(table, "table", {ANY, ANY}),
-          evidence_bin_(static_cast<float>(positive_number(evidence_bin, "evidence_bin"))) {
+    explicit ComparisonArgument(NamedArguments& given) : given_(given) {
+        given.end();
         if (cost_ != Cost::EVIDENCE) {
             return;
         }
-        const MaskedImage image = query_;
         const auto rows = static_cast<float>(table_.shape(0));
-        for (std::size_t i = 0; i < image.width * image.height; ++i) {
-            if (!(image.data[4 * i + 3] >= 0.0F && image.data[4 * i + 3] < rows)) {
+        for (std::size_t i = 3; i < query_.span().size(); i += 4) {
+            if (!(query_.data()[i] >= 0.0F && query_.data()[i] < rows)) {
                 refuse_value("query", "a row of the table expected as each pixel's last number");
             }
         }
@@ -322,109 +300,76 @@ class ComparisonArgument {
         }
     }
 
-    const MaskedImageArgument& query() const { return query_; }
+    std::size_t height() const { return query_.shape(0); }
+    std::size_t width() const { return query_.shape(1); }
 
     operator Comparison() const {
         const double *limit = limits_.data(), *of = uncovered_.data();
-        return {cost_,
-                query_,
-                fit_gain_,
-                {static_cast<float>(limit[0]), static_cast<float>(limit[1]), of[0], of[1], of[2],
-                 of[3], limit[2], table_.span(), table_.shape(1), evidence_bin_}};
+        return {
+            cost_,
+            query_,
+            fit_gain_,
+            {static_cast<float>(limit[0]), static_cast<float>(limit[1]), of[0], of[1], of[2], of[3],
+             limit[2], table_.span(), table_.shape(1), static_cast<float>(evidence_bin_)}};
     }
 
   private:
-    MaskedImageArgument query_;
-    Cost cost_;
-    bool fit_gain_;
-    ArrayArgument<double> limits_, uncovered_;
-    ArrayArgument<float> table_;
-    float evidence_bin_;
+    NamedArguments& given_;
+    ArrayArgument<float> query_{given_, "query", {ANY, ANY, 4}};
+    Cost cost_ = static_cast<Cost>(integer_between(0, 4, given_.take("cost"), "cost"));
+    bool fit_gain_ = truth(given_.take("fit_gain"), "fit_gain");
+    ArrayArgument<double> limits_{given_, "limits", {3}};
+    ArrayArgument<double> uncovered_{given_, "uncovered", {4}};
+    ArrayArgument<float> table_{given_, "table", {ANY, ANY}};
+    double evidence_bin_ = positive_number(given_.take("evidence_bin"), "evidence_bin");
 };
 
-nb::object python_costs(const PythonVirtualViews& self, nb::handle query, nb::handle cost,
-                        bool fit_gain, nb::handle limits, nb::handle uncovered, nb::handle table,
-                        nb::handle evidence_bin) {
-    const ComparisonArgument comparison(query, cost, fit_gain, limits, uncovered, table,
-                                        evidence_bin);
-    const MaskedImage image = comparison.query();
-    if (image.width * image.height != self.pixels()) {
+nb::object python_costs(const PythonVirtualViews& self, const nb::kwargs& arguments) {
+    NamedArguments given(arguments);
+    const ComparisonArgument comparison(given);
+    if (comparison.width() * comparison.height() != self.pixels()) {
         refuse_value("query", "as many pixels as are rendered expected, got " +
-                                  std::to_string(image.width * image.height));
+                                  std::to_string(comparison.width() * comparison.height()));
     }
-    const LightField field = self.light_field();
-    const VirtualViews views = self.views();
     NewArray<double> result({self.count()});
     {
         const nb::gil_scoped_release unlocked;
-        LFNAV_BEST(compare_views)(field, views, comparison, result.values.data());
+        compare_views(self.light_field(), self.views(), comparison, result.values.data());
     }
     return nb::cast(result.array);
 }
 
-double python_image_cost(nb::handle view, nb::handle query, nb::handle cost, bool fit_gain,
-                         nb::handle limits, nb::handle uncovered, nb::handle table,
-                         nb::handle evidence_bin) {
-    const ComparisonArgument comparison(query, cost, fit_gain, limits, uncovered, table,
-                                        evidence_bin);
-    const MaskedImageArgument rendered(view, "view", comparison.query());
-    const MaskedImage image = rendered;
-    for (std::size_t i = 0; i < image.width * image.height; ++i) {
-        if (!(image.data[4 * i + 3] >= 0.0F && image.data[4 * i + 3] <= 1.0F)) {
+double python_image_cost(const nb::kwargs& arguments) {
+    NamedArguments given(arguments);
+    const nb::object view = given.take("view");
+    const ComparisonArgument comparison(given);
+    const ArrayArgument<float> rendered(view, "view", {comparison.height(), comparison.width(), 4});
+    for (std::size_t i = 3; i < rendered.span().size(); i += 4) {
+        if (!(rendered.data()[i] >= 0.0F && rendered.data()[i] <= 1.0F)) {
             refuse_value("view", "0 to 1 expected as each pixel's last number");
         }
     }
     const nb::gil_scoped_release unlocked;
-    return LFNAV_BEST(compare_image)(image, comparison);
+    return compare(rendered, comparison);
 }
 
 }  // namespace
 
 void bind_renderer(nb::module_& module) {
-    module.def("image_cost", &python_image_cost, argument("view"), argument("query"),
-               argument("cost"), nb::arg("fit_gain"), argument("limits"), argument("uncovered"),
-               argument("table"), argument("evidence_bin"));
-    nb::class_<DepthSamples>(module, "DepthSamples").def("count", [](const DepthSamples& self) {
-        return self.count;
-    });
+    module.def("image_cost", &python_image_cost);
     nb::class_<PythonLightField>(module, "LightField")
-        .def(nb::init<nb::handle, nb::handle, nb::handle, nb::handle, nb::handle, nb::handle,
-                      nb::handle, nb::handle, nb::handle, nb::handle, nb::handle, nb::handle,
-                      nb::handle, nb::handle, nb::handle, nb::handle, nb::handle, nb::handle,
-                      nb::handle, nb::handle, nb::handle, nb::handle, nb::handle, nb::handle, bool,
-                      nb::handle>(),
-             nb::kw_only(), argument("texels"), argument("level_start"), argument("level_size"),
-             argument("projection"), argument("rays"), argument("centres"), argument("focal"),
-             argument("inverse_depth"), argument("depth_start"), argument("depth_size"),
-             argument("pooled_depth"), argument("pooled_start"), argument("usable"),
-             argument("origin"), argument("order"), argument("numbers"), argument("members"),
-             argument("blocks"), argument("groups"), argument("plane"), argument("depth_settings"),
-             argument("penalties"), argument("most_ranked"), argument("smallest_weight"),
-             nb::arg("has_mesh"), argument("mesh"))
-        .def("depth_samples", &python_depth_samples, argument("is_source"), argument("steps"))
+        .def(nb::init<const nb::kwargs&>())
         .def("sources", &python_sources, argument("poses"), argument("usual_inverse_depth"),
              argument("turn_cost"), argument("most"))
         .def(
             "views",
-            [](const PythonLightField& self, nb::handle poses, nb::handle intrinsics,
-               nb::handle across, nb::handle down, nb::handle outlook_across,
-               nb::handle outlook_down, nb::handle frustum_across, nb::handle frustum_down,
-               nb::handle pixels, nb::handle width, nb::handle height, nb::handle samples,
-               nb::handle sources, nb::handle spacing) {
-                return PythonVirtualViews(self, poses, intrinsics, across, down, outlook_across,
-                                          outlook_down, frustum_across, frustum_down, pixels, width,
-                                          height, samples, sources, spacing);
+            [](const PythonLightField& self, const nb::kwargs& arguments) {
+                return PythonVirtualViews(self, arguments);
             },
-            nb::keep_alive<0, 1>(), argument("poses"), argument("intrinsics"), argument("across"),
-            argument("down"), argument("outlook_across"), argument("outlook_down"),
-            argument("frustum_across"), argument("frustum_down"), argument("pixels"),
-            argument("width"), argument("height"), argument("samples"), argument("sources"),
-            argument("spacing"));
+            nb::keep_alive<0, 1>());
     nb::class_<PythonVirtualViews>(module, "VirtualViews")
         .def("render", &python_render)
-        .def("costs", &python_costs, argument("query"), argument("cost"), nb::arg("fit_gain"),
-             argument("limits"), argument("uncovered"), argument("table"),
-             argument("evidence_bin"));
+        .def("costs", &python_costs);
 }
 
-}  // namespace lfnav
+}  // namespace lfnav::LFNAV_LEVEL

@@ -28,7 +28,7 @@ constexpr std::size_t CHUNK = 128, CHUNK_LENGTH = CHUNK + TOGETHER;
 
 /// Some pixels of a virtual image, and what a photo has to do with them.
 struct PixelChunk {
-    /// Places in the virtual image, from its middle, inverse depths, and the photo's weights.
+    /// ImagePoints in the virtual image, from its middle, inverse depths, and the photo's weights.
     alignas(64) float x[CHUNK_LENGTH], y[CHUNK_LENGTH],
         inverse_depth[CHUNK_LENGTH], weight[CHUNK_LENGTH];
     /// Which pixels they are in the image that is made.

@@ -56,18 +56,6 @@ LFNAV_INLINE FloatVector spread(const FloatVector& pixels) {
 #endif
 }
 
-/// Of pixels of four channels the sum of the first three, and of the fourth.
-struct ChannelSums {
-    double colours = 0.0, fourth = 0.0;
-
-    LFNAV_INLINE void add(const FloatVector& pixels) {
-        for (std::size_t i = 0; i < sizeof pixels / sizeof(float); i += 4) {
-            colours += static_cast<double>(pixels[i] + pixels[i + 1] + pixels[i + 2]);
-            fourth += static_cast<double>(pixels[i + 3]);
-        }
-    }
-};
-
 /// Numbers at indices of an array. GCC 12 makes of a loop one read after the other.
 LFNAV_INLINE FloatVector gathered(const float* numbers, const IntegerVector& indices) {
 #if defined(__AVX512F__)

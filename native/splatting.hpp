@@ -80,18 +80,18 @@ class Splatting {
     LFNAV_INLINE void operator()(const DepthSamples& samples, std::size_t photo,
                                  const DepthProjection& projection, const VertexGrid& grid,
                                  float* vertices) {
-        for (std::size_t first = samples.starts[photo]; first < samples.ends[photo];
+        const auto end = static_cast<std::size_t>(samples.ends[photo]);
+        for (auto first = static_cast<std::size_t>(samples.starts[photo]); first < end;
              first += DepthSamples::BATCHES) {
             float reach[DepthSamples::BATCHES];
             set_reach(samples, first, projection, reach);
-            const std::size_t batches =
-                std::min(samples.ends[photo] - first, DepthSamples::BATCHES);
+            const std::size_t batches = std::min(end - first, DepthSamples::BATCHES);
             // First all are placed, then all are written: placing need not wait for that.
             std::size_t count = 0;
             for (std::size_t i = 0; i < batches; ++i) {
                 if (reach[i] >= 0.0F) {
-                    place(samples.values.get() + 3 * DepthSamples::BATCH * (first + i), projection,
-                          grid, count);
+                    place(samples.values + 3 * DepthSamples::BATCH * (first + i), projection, grid,
+                          count);
                     count += DepthSamples::BATCH;
                 }
             }
@@ -108,7 +108,7 @@ class Splatting {
     LFNAV_INLINE static void set_reach(const DepthSamples& samples, std::size_t first,
                                        const DepthProjection& projection, float* reach) {
         const std::size_t length = samples.length;
-        const float* const boxes = samples.boxes.data() + first;
+        const float* const boxes = samples.boxes + first;
 #pragma omp simd
         for (std::size_t i = 0; i < DepthSamples::BATCHES; ++i) {
             float lowest = std::numeric_limits<float>::infinity();

@@ -15,7 +15,7 @@
 namespace lfnav::LFNAV_LEVEL {
 
 /// Pixels at which surfaces are looked up, of one virtual camera after the other.
-struct Places {
+struct ImagePoints {
     /// Columns and rows; there are some more numbers behind the last one, to be worked on together.
     std::vector<float> x, y;
     /// Of a surface with a grid of vertices: the upper left one of the cell around each pixel, and
@@ -23,7 +23,7 @@ struct Places {
     std::vector<std::int32_t> vertex;
     std::vector<float> right, below;
 
-    explicit Places(std::size_t count) : x(count + TOGETHER), y(count + TOGETHER) {}
+    explicit ImagePoints(std::size_t count) : x(count + TOGETHER), y(count + TOGETHER) {}
     std::size_t count() const { return x.size() - TOGETHER; }
 
     /// Puts them where columns and rows cross, row by row; the last one stands for those that are
@@ -41,14 +41,14 @@ struct Places {
 class Surface {
   public:
     virtual ~Surface() = default;
-    /// Completes places, once for all cameras.
-    virtual void prepare(Places&) const {}
+    /// Completes points, once for all cameras.
+    virtual void prepare(ImagePoints&) const {}
     /// Approximates the surface for a virtual camera.
     ///
     /// @param number: of the camera among all that are asked for.
-    virtual void look_from(const VirtualCamera& camera, std::size_t number) = 0;
-    /// Writes what is seen at places, 1 / metres along the optical axis; 0: nothing.
-    virtual void set_inverse_depths(const Places& places, float* inverse_depths) const = 0;
+    virtual void set_camera(const VirtualCamera& camera, std::size_t number) = 0;
+    /// Writes what is seen at points, 1 / metres along the optical axis; 0: nothing.
+    virtual void set_inverse_depths(const ImagePoints& points, float* inverse_depths) const = 0;
 };
 
 /// One plane for the whole scene: its inverse depth is linear in the pixel.
@@ -57,7 +57,7 @@ class PlaneSurface final : public Surface {
     /// @param plane: (4,) unit normal and offset; the photos' cameras are on its positive side.
     explicit PlaneSurface(const double* plane) : plane_(plane) {}
 
-    void look_from(const VirtualCamera& camera, std::size_t) override {
+    void set_camera(const VirtualCamera& camera, std::size_t) override {
         double distance = plane_[3];
         for (std::size_t i = 0; i < 3; ++i) {
             distance += plane_[i] * camera.pose[4 * i + 3];
@@ -71,13 +71,13 @@ class PlaneSurface final : public Surface {
         }
     }
 
-    void set_inverse_depths(const Places& places, float* inverse_depths) const override {
+    void set_inverse_depths(const ImagePoints& points, float* inverse_depths) const override {
         const double right = coefficients_[0], down = coefficients_[1], start = coefficients_[2];
-        const std::size_t count = places.count();
+        const std::size_t count = points.count();
 #pragma omp simd
         for (std::size_t i = 0; i < count; ++i) {
-            const double value = right * static_cast<double>(places.x[i]) +
-                                 down * static_cast<double>(places.y[i]) + start;
+            const double value = right * static_cast<double>(points.x[i]) +
+                                 down * static_cast<double>(points.y[i]) + start;
             inverse_depths[i] = static_cast<float>(value > 0.0 ? value : 0.0);
         }
     }

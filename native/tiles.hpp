@@ -5,12 +5,14 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <numeric>
 #include <span>
 #include <vector>
 
+#include "blending.hpp"
+#include "candidate_views.hpp"
 #include "level.hpp"
 #include "light_field.hpp"
-#include "outlook.hpp"
 #include "ranking.hpp"
 #include "regions.hpp"
 #include "surface.hpp"
@@ -19,7 +21,7 @@
 namespace lfnav::LFNAV_LEVEL {
 
 /// The tiles of virtual images of one size; made once for many of them.
-class Tiling {
+class Tiling final : public Blending {
   public:
     Tiling(const LightField& field, const VirtualViews& views, const Middle& middle,
            const Surface& surface)
@@ -27,33 +29,29 @@ class Tiling {
           grid_(views.grid),
           all_rows_(field.index.count),
           bounds_(POINTS * field.index.groups),
-          tiles_((grid_.across.size() - 1) * (grid_.down.size() - 1)),
-          pixels_(views.pixels.size()),
-          outlook_(POINTS),
+          map_(views.width, views.height, views.pixels, middle),
+          probes_(POINTS),
           corners_((grid_.across.size() * grid_.down.size() + POINTS - 1) / POINTS * POINTS),
           inverse_depths_(corners_.count()),
           photos_(SHARING * corners_.count()),
           weights_(SHARING * corners_.count()) {
-        for (std::size_t row = 0; row < all_rows_.size(); ++row) {
-            all_rows_[row] = static_cast<std::int32_t>(row);
-        }
-        outlook_.set_crossings(grid_.outlook_across, grid_.outlook_down);
+        std::iota(all_rows_.begin(), all_rows_.end(), 0);
+        probes_.set_crossings(grid_.probes_across, grid_.probes_down);
         corners_.set_crossings(grid_.across, grid_.down);
-        surface.prepare(outlook_);
+        surface.prepare(probes_);
         surface.prepare(corners_);
-        order_pixels(views, middle);
+        for (std::size_t row = 0; row + 1 < grid_.down.size(); ++row) {
+            for (std::size_t column = 0; column < across(); ++column) {
+                map_.add(index(grid_.across[column]), index(grid_.down[row]));
+            }
+        }
+        add_pixels(views.width, views.height);
     }
 
-    std::span<const Region> regions() const { return tiles_; }
-    const RegionPixels& pixels() const { return pixels_; }
-    /// (N,) photos that may show what those of a tile do not.
-    const bool* candidates() const { return field_.photos.usable; }
+    const RegionMap& map() const override { return map_; }
+    const bool* candidates() const override { return field_.photos.usable; }
 
-    /// Chooses the photos of all tiles for a virtual camera, and their weights.
-    ///
-    /// @param surface: as it sees it.
-    template <typename HomographyOf>
-    void choose(const VirtualCamera& camera, const Surface& surface, HomographyOf) {
+    void choose(const VirtualCamera& camera, const Surface& surface, Homographies&) override {
         const PhotoIndex& index = field_.index;
         const PenaltySettings& settings = field_.penalties;
         SurfacePoints points;
@@ -62,13 +60,13 @@ class Tiling {
         std::int32_t few_rows[POINTS];
         if (count > field_.most_ranked) {
             float inverse_depths[POINTS];
-            Outlook outlook;
-            surface.set_inverse_depths(outlook_, inverse_depths);
-            set_points(camera, index.origin, outlook_.x.data(), outlook_.y.data(), inverse_depths,
+            CandidateViews best;
+            surface.set_inverse_depths(probes_, inverse_depths);
+            set_points(camera, index.origin, probes_.x.data(), probes_.y.data(), inverse_depths,
                        points);
-            look_out(points, field_.photos, index, settings, bounds_.data(), outlook);
+            find_candidates(points, field_.photos, index, settings, bounds_.data(), best);
             rows = few_rows;
-            count = distinct_rows(outlook, few_rows);
+            count = distinct_rows(best, few_rows);
         }
         surface.set_inverse_depths(corners_, inverse_depths_.data());
         BestPhotos best;
@@ -85,56 +83,30 @@ class Tiling {
         }
         for (std::size_t row = 0; row + 1 < grid_.down.size(); ++row) {
             for (std::size_t column = 0; column < across(); ++column) {
-                join_corners(row, column, tiles_[row * across() + column]);
+                join_corners(row, column, map_.regions()[row * across() + column]);
             }
         }
     }
 
   private:
+    static std::size_t index(std::int64_t i) { return static_cast<std::size_t>(i); }
     std::size_t across() const { return grid_.across.size() - 1; }
 
-    /// Sorts the pixels by the tiles that they are in, and sets where these begin.
-    void order_pixels(const VirtualViews& views, const Middle& middle) {
-        for (std::size_t i = 0; i < tiles_.size(); ++i) {
-            tiles_[i].left = static_cast<float>(grid_.across[i % across()] - middle.x);
-            tiles_[i].top = static_cast<float>(grid_.down[i / across()] - middle.y);
-        }
-        // In which tile each column, or row, is.
-        const auto tiles_along = [](std::span<const std::int64_t> borders, std::size_t length) {
-            std::vector<std::size_t> result(length);
-            for (std::size_t i = 0, tile = 0; i < length; result[i++] = tile) {
-                while (tile + 2 < borders.size() &&
-                       borders[tile + 1] <= static_cast<std::int64_t>(i)) {
-                    ++tile;
-                }
+    /// Tiles reach from their corner up to the next one; the outer ones, to the image's border.
+    void add_pixels(std::size_t width, std::size_t height) {
+        for (std::size_t y = 0, row = 0; y < height; ++y) {
+            while (row + 2 < grid_.down.size() && index(grid_.down[row + 1]) <= y) {
+                ++row;
             }
-            return result;
-        };
-        const auto columns = tiles_along(grid_.across, views.width);
-        const auto rows = tiles_along(grid_.down, views.height);
-        std::vector<std::size_t> tiles(views.pixels.size());
-        pixels_.starts.resize(tiles_.size() + 1);
-        const auto width = static_cast<std::uint32_t>(views.width);
-        const auto column = [&](std::size_t i) {
-            return static_cast<std::uint32_t>(views.pixels[i]) % width;
-        };
-        const auto row = [&](std::size_t i) {
-            return static_cast<std::uint32_t>(views.pixels[i]) / width;
-        };
-        for (std::size_t i = 0; i < tiles.size(); ++i) {
-            tiles[i] = rows[row(i)] * across() + columns[column(i)];
-            ++pixels_.starts[tiles[i] + 1];
+            for (std::size_t column = 0; column < across(); ++column) {
+                const std::size_t first = column > 0 ? index(grid_.across[column]) : 0;
+                const std::size_t end =
+                    column + 1 < across() ? index(grid_.across[column + 1]) : width;
+                map_.add_run(static_cast<std::int32_t>(row * across() + column),
+                             map_.before(y, first), map_.before(y, end));
+            }
         }
-        for (std::size_t tile = 0; tile < tiles_.size(); ++tile) {
-            pixels_.starts[tile + 1] += pixels_.starts[tile];
-        }
-        std::vector<std::size_t> ends(pixels_.starts.begin(), pixels_.starts.end() - 1);
-        for (std::size_t i = 0; i < tiles.size(); ++i) {
-            const std::size_t place = ends[tiles[i]]++;
-            pixels_.x[place] = static_cast<float>(static_cast<std::int32_t>(column(i)) - middle.x);
-            pixels_.y[place] = static_cast<float>(static_cast<std::int32_t>(row(i)) - middle.y);
-            pixels_.place[place] = static_cast<std::int32_t>(i);
-        }
+        map_.sort_pixels();
     }
 
     /// Sets a tile from the photos of its corners.
@@ -180,10 +152,9 @@ class Tiling {
     Grid grid_;
     std::vector<std::int32_t> all_rows_;
     std::vector<float> bounds_;
-    std::vector<Region> tiles_;
-    RegionPixels pixels_;
-    /// More photos than are ranked are narrowed down to the best at the outlook's points.
-    Places outlook_, corners_;
+    RegionMap map_;
+    /// More photos than are ranked are narrowed down to the best at the probes.
+    ImagePoints probes_, corners_;
     std::vector<float> inverse_depths_;
     std::vector<std::int32_t> photos_;
     std::vector<float> weights_;

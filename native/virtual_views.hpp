@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <span>
 
 #include "depth_samples.hpp"
@@ -20,12 +21,17 @@ struct PenaltySettings {
 /// Limits of the Delaunay mesh, of which net.py says what they are.
 struct MeshSettings {
     double flatness, coincident_pixels, coincident_share, smallest_area;
+
+    static MeshSettings of(const double* limits) {
+        return {limits[0], limits[1], limits[2], limits[3]};
+    }
 };
 
 /// Where points are looked at in images of one size: columns and rows of the tiles' corners, of the
-/// points of the outlook, and of those one of which a photo of the Delaunay mesh has to show.
+/// probes by which many photos are narrowed down, and of the points one of which a photo of the
+/// Delaunay mesh has to show.
 struct Grid {
-    std::span<const std::int64_t> across, down, outlook_across, outlook_down;
+    std::span<const std::int64_t> across, down, probes_across, probes_down;
     std::span<const std::int64_t> frustum_across, frustum_down;
 };
 
@@ -82,7 +88,7 @@ struct VirtualViews {
     /// Indices of the pixels in the image, rising.
     std::span<const std::int32_t> pixels;
     /// Of the depth maps that make the surface; none: it is the plane.
-    const DepthSamples* samples;
+    std::optional<DepthSamples> samples;
     /// (B, most_sources) whose these are, for each camera; -1: none.
     const std::int32_t* sources;
     std::size_t most_sources;

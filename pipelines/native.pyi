@@ -3,6 +3,7 @@
 Functions release the interpreter lock, change none of their arguments, and check them: an array of
 another type, shape or order of elements than described is a ``TypeError`` or ``ValueError`` whose
 one line names the argument. Arrays have to be in C order. Results do not depend on threads.
+Functions of many arguments take them by name.
 
 Images to be compared are ``(H, W, 4)``, float32: three channels in grey levels, and 1 where there
 is something to compare, 0 where not.
@@ -63,6 +64,7 @@ def robust_error(
     """
 
 def normal_equations(
+    *,
     image: Float32Array,
     inverse_depth: Float32Array,
     target: Float32Array,
@@ -105,6 +107,7 @@ def normal_equations(
     """
 
 def image_cost(
+    *,
     view: Float32Array,
     query: Float32Array,
     cost: int,
@@ -141,6 +144,7 @@ def delaunay_triangles(points: FloatArray, smallest_area: float) -> Int32Array:
     """
 
 def delaunay_meshes(
+    *,
     poses: FloatArray,
     intrinsics: FloatArray,
     width: int,
@@ -241,17 +245,6 @@ def fuse_depth(
         less those that see through it.
     """
 
-def complete_depth(inverse_depth: Float32Array, known: BoolArray) -> Float32Array:
-    """Depth where none is known: planes through the surfaces around, in eight directions.
-
-    Args:
-        inverse_depth: (H, W).
-        known: (H, W) where it can be relied on, and stays.
-
-    Returns:
-        (H, W): the weighted median of what the eight say; as it was where there are none.
-    """
-
 def log_mixture_density(
     positions: FloatArray,
     centres: FloatArray,
@@ -273,12 +266,6 @@ def log_mixture_density(
     Returns:
         (M,); -inf where all weights are 0.
     """
-
-class DepthSamples:
-    """What is projected into virtual images of some photos' depth maps; ``LightField`` makes it."""
-
-    def count(self) -> int:
-        """How many samples these are."""
 
 class LightField:
     """A light field, rendered over a plane or depth maps.
@@ -346,14 +333,6 @@ class LightField:
         has_mesh: bool,
         mesh: FloatArray,
     ) -> None: ...
-    def depth_samples(self, is_source: BoolArray, steps: FloatArray) -> DepthSamples:
-        """Takes samples of depth maps.
-
-        Args:
-            is_source: (N,) whose.
-            steps: (N,) from one sample to the next, at least 1 pixel of the depth map.
-        """
-
     def sources(
         self, poses: FloatArray, usual_inverse_depth: float, turn_cost: float, most: int
     ) -> Int32Array:
@@ -371,18 +350,19 @@ class LightField:
 
     def views(
         self,
+        *,
         poses: FloatArray,
         intrinsics: FloatArray,
         across: IntArray,
         down: IntArray,
-        outlook_across: IntArray,
-        outlook_down: IntArray,
+        probes_across: IntArray,
+        probes_down: IntArray,
         frustum_across: IntArray,
         frustum_down: IntArray,
         pixels: Int32Array,
         width: int,
         height: int,
-        samples: DepthSamples | None,
+        samples: tuple[Float32Array, Float32Array, IntArray, IntArray] | None,
         sources: Int32Array,
         spacing: float,
     ) -> VirtualViews:
@@ -393,14 +373,15 @@ class LightField:
             intrinsics: (4,) or more: fx, fy, cx, cy.
             across: columns of the tiles' corners, and
             down: their rows.
-            outlook_across: (4,) columns of the points that narrow many photos down, and
-            outlook_down: (4,) their rows.
+            probes_across: (4,) columns of the points that narrow many photos down, and
+            probes_down: (4,) their rows.
             frustum_across: columns of the points one of which a view of a mesh has to see, and
             frustum_down: their rows.
             pixels: (P,) indices in the image, rising.
             width: of the image, and
             height: of it.
-            samples: of depth maps of this light field; None: the surface is the plane.
+            samples: of this light field's depth maps, see ``depth_samples.DepthSamples``; None: the
+                surface is the plane.
             sources: (B, S) whose depth maps make the surface; -1 behind the last.
             spacing: of the vertices that approximate it, at least 1 pixel.
         """
@@ -418,6 +399,7 @@ class VirtualViews:
 
     def costs(
         self,
+        *,
         query: Float32Array,
         cost: int,
         fit_gain: bool,

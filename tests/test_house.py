@@ -27,7 +27,7 @@ FLOORS = {
 # The C++ core is a module, built from native/, that stands beside the packages' lowest floor.
 MODULE_FLOORS = {"native": 0}
 # Files of the core that may know of Python: its module, its arrays, and who hands them over.
-KNOWS_PYTHON = re.compile(r"module\.cpp|array_argument\.[ch]pp|\w+_binding\.[ch]pp")
+KNOWS_PYTHON = re.compile(r"module\.cpp|arguments\.[ch]pp|bindings\.hpp|\w+_binding\.cpp")
 
 
 def modules_of(package: str) -> list[Path]:

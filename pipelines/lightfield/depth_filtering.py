@@ -1,16 +1,12 @@
-"""Depth maps of neighbouring views brought to agree, and completed where none confirms another.
+"""Depth maps of neighbouring views brought to agree.
 
 After Merrell et al. (2007), "Real-time visibility-based fusion of depth maps": the depths that the
 neighbours found are seen from the view; at each pixel the depth is taken that most neighbours see
 and fewest see through.
-
-What only one photo shows has no parallax. A floor or a wall mostly goes on as it was, so planes are
-fitted at the rim of the unconfirmed region and extended into it.
 """
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from functools import partial
 
 import cv2
@@ -20,15 +16,13 @@ from pipelines import native
 from pipelines.artifacts.arrays import FloatArray, IntArray
 from pipelines.artifacts.errors import OptionError
 from pipelines.artifacts.stages import Progress, no_progress
+from pipelines.lightfield.depth_completion import complete_depth
 from pipelines.lightfield.stereo_depth import DepthMap, DepthSettings, pixel_map
 
 # How often all views are compared: the second time they compare what the first has mended.
 ROUNDS = 2
 # What a neighbour's depth counts where it is not confident itself.
 UNSURE_TRUST = 0.5
-# Specks of confidence smaller than half of this window, in pixels, are no surface to start from.
-SPECK_SIZE = 7
-MEDIAN_SIZE = 5
 
 
 def refine_depth_maps(
@@ -123,21 +117,3 @@ def fuse_depth(
     supporters = max(1, min(settings.supporters, len(neighbours)))
     smooth = np.asarray(cv2.medianBlur(fused, 3), dtype=np.float32)
     return DepthMap(smooth, votes >= supporters, own.intrinsics)
-
-
-def complete_depth(depth_map: DepthMap) -> DepthMap:
-    """Replaces depth that is not confident by that of the surfaces around it.
-
-    Returns:
-        Depth everywhere, unchanged where it is still confident; a map without any confident pixel
-        keeps its depth.
-    """
-    confident = depth_map.confident.astype(np.uint8)
-    known = np.asarray((cv2.medianBlur(confident, SPECK_SIZE) > 0) & depth_map.confident)
-    if not np.any(known):
-        return replace(depth_map, confident=known)
-    carried = native.complete_depth(depth_map.inverse_depth, known)
-    # Single directions leave streaks. A mean would take them away too, and blur the rim.
-    smooth = np.asarray(cv2.medianBlur(carried, MEDIAN_SIZE), dtype=np.float32)
-    completed = np.where(known, depth_map.inverse_depth, smooth)
-    return replace(depth_map, inverse_depth=completed, confident=known)

@@ -153,19 +153,19 @@ class _Level:
         camera = body @ self.body_from_camera
         axes, turns = _unknowns(self.space)
         hessian, clusters = normal_equations(
-            view.rgba,
-            view.inverse_depth,
-            self.target,
-            look.gain,
-            look.offset,
-            TUKEY * look.scale,
-            FLAT,
-            pinhole.vector()[:4],
-            np.ascontiguousarray(camera[:3, :3]),
-            camera[:3, 3] - body[:3, 3],
-            axes,
-            turns,
-            TILES_ACROSS,
+            image=view.rgba,
+            inverse_depth=view.inverse_depth,
+            target=self.target,
+            gain=look.gain,
+            offset=look.offset,
+            limit=TUKEY * look.scale,
+            flat=FLAT,
+            intrinsics=pinhole.vector()[:4],
+            rotation=np.ascontiguousarray(camera[:3, :3]),
+            lever=camera[:3, 3] - body[:3, 3],
+            axes=axes,
+            is_rotation=turns,
+            tiles_across=TILES_ACROSS,
         )
         d = self.space.dimension
         elimination = hessian[:d, d:] @ _inverse(hessian[d:, d:])

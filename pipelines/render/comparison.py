@@ -165,4 +165,13 @@ def compare(
         Cost, in [0, 1] but for EVIDENCE; smaller is better.
     """
     rows = table.reshape((-1, EVIDENCE_BINS))
-    return image_cost(view, query, int(cost), fit_gain, LIMITS, UNCOVERED, rows, EVIDENCE_BIN)
+    return image_cost(
+        view=view,
+        query=query,
+        cost=int(cost),
+        fit_gain=fit_gain,
+        limits=LIMITS,
+        uncovered=UNCOVERED,
+        table=rows,
+        evidence_bin=EVIDENCE_BIN,
+    )

@@ -71,13 +71,13 @@ def cut_nets(
     def cut(start: int) -> Nets:
         part = slice(start, start + POSES_TOGETHER)
         views, weights, labels, cells = delaunay_meshes(
-            poses[part],
-            intrinsics.vector(),
-            intrinsics.width,
-            intrinsics.height,
-            centres,
-            visible[part],
-            MESH_LIMITS,
+            poses=poses[part],
+            intrinsics=intrinsics.vector(),
+            width=intrinsics.width,
+            height=intrinsics.height,
+            centres=centres,
+            takes_part=visible[part],
+            limits=MESH_LIMITS,
         )
         return Nets(views[:, :cells].copy(), weights[:, :cells].copy(), labels, cells)
 

@@ -1,6 +1,7 @@
 """The renderer's path through the C++ core: surfaces and blending of all kinds."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from pipelines.lightfield.view_penalties import (
     SMALLEST_MARGIN,
 )
 from pipelines.lightfield.views import Views
-from pipelines.native import DepthSamples, LightField, VirtualViews
+from pipelines.native import LightField, VirtualViews
 from pipelines.render.blending import (
     MOST_RANKED,
     OCCLUSION_FACTOR,
@@ -36,6 +37,7 @@ from pipelines.render.comparison import (
     Cost,
 )
 from pipelines.render.delaunay_mesh import MESH_LIMITS
+from pipelines.render.depth_samples import DepthSamples, take_samples
 from pipelines.render.reference import SMALLEST_WEIGHT, frustum_positions
 from pipelines.render.sample_store import SampleStore
 from pipelines.render.surface import (
@@ -132,7 +134,7 @@ class NativeRenderer:
             has_mesh=blending is Blending.DELAUNAY,
             mesh=MESH_LIMITS,
         )
-        self._samples = SampleStore(arrays, self._light_field.depth_samples)
+        self._samples = SampleStore(arrays, partial(take_samples, arrays))
 
     def surfaces(self, poses: FloatArray, intrinsics: Intrinsics) -> Surfaces:
         """What the surfaces are made of that virtual cameras see from poses ``(B, 4, 4)``."""
@@ -187,13 +189,13 @@ class NativeRenderer:
             table: see there; empty but for EVIDENCE.
         """
         return self._virtual_views(poses, surfaces, intrinsics, chosen).costs(
-            target,
-            int(cost),
-            fit_gain,
-            LIMITS,
-            UNCOVERED,
-            table.reshape((-1, EVIDENCE_BINS)),
-            EVIDENCE_BIN,
+            query=target,
+            cost=int(cost),
+            fit_gain=fit_gain,
+            limits=LIMITS,
+            uncovered=UNCOVERED,
+            table=table.reshape((-1, EVIDENCE_BINS)),
+            evidence_bin=EVIDENCE_BIN,
         )
 
     def _virtual_views(
@@ -202,18 +204,18 @@ class NativeRenderer:
         """As the core takes them; see ``draw``."""
         width, height = intrinsics.width, intrinsics.height
         return self._light_field.views(
-            poses,
-            intrinsics.vector(),
-            tile_borders(width),
-            tile_borders(height),
-            outlook_positions(width),
-            outlook_positions(height),
-            frustum_positions(width),
-            frustum_positions(height),
-            chosen,
-            width,
-            height,
-            surfaces.samples,
-            surfaces.sources,
-            surfaces.spacing,
+            poses=poses,
+            intrinsics=intrinsics.vector(),
+            across=tile_borders(width),
+            down=tile_borders(height),
+            probes_across=outlook_positions(width),
+            probes_down=outlook_positions(height),
+            frustum_across=frustum_positions(width),
+            frustum_down=frustum_positions(height),
+            pixels=chosen,
+            width=width,
+            height=height,
+            samples=surfaces.samples,
+            sources=surfaces.sources,
+            spacing=surfaces.spacing,
         )

@@ -11,7 +11,8 @@ from pipelines.artifacts.arrays import BoolArray, FloatArray, ImageArray
 from pipelines.artifacts.errors import OptionError, StageError
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
-from pipelines.lightfield.depth_filtering import complete_depth, fuse_depth, refine_depth_maps
+from pipelines.lightfield.depth_completion import complete_depth
+from pipelines.lightfield.depth_filtering import fuse_depth, refine_depth_maps
 from pipelines.lightfield.stereo_depth import DepthMap, DepthSettings, estimate_depth
 from pipelines.lightfield.stereo_neighbours import choose_neighbours, depth_range
 

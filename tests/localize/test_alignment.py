@@ -155,19 +155,19 @@ def kernel_sums(
     unknowns = np.concatenate([np.eye(3)[: space.positions], axes])
     turns = np.arange(space.dimension) >= space.positions
     return normal_equations(
-        look.view.rgba,
-        look.view.inverse_depth,
-        prepared(target),
-        gain,
-        offset,
-        limit,
-        FLAT,
-        look.intrinsics.vector()[:4],
-        np.ascontiguousarray(look.camera[:3, :3]),
-        look.lever,
-        unknowns,
-        turns,
-        4,
+        image=look.view.rgba,
+        inverse_depth=look.view.inverse_depth,
+        target=prepared(target),
+        gain=gain,
+        offset=offset,
+        limit=limit,
+        flat=FLAT,
+        intrinsics=look.intrinsics.vector()[:4],
+        rotation=np.ascontiguousarray(look.camera[:3, :3]),
+        lever=look.lever,
+        axes=unknowns,
+        is_rotation=turns,
+        tiles_across=4,
     )
 
 

@@ -7,12 +7,21 @@ import platform
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from operator import attrgetter
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from pipelines import native
+from tests.native.test_alignment_kernels import arguments as alignment_arguments
+from tests.native.test_delaunay_kernels import mesh_arguments
+from tests.native.test_renderer_kernels import (
+    comparison_arguments,
+    scene_arguments,
+    views_arguments,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 STUB = ast.parse((ROOT / "pipelines" / "native.pyi").read_text())
@@ -22,6 +31,17 @@ DESCRIBED = {
     for owner, body in [("", STUB.body), *((f"{n}.", c.body) for n, c in CLASSES.items())]
     for node in body
     if isinstance(node, ast.FunctionDef)
+}
+
+
+# Arguments that the core takes, as the tests of these functions show.
+NAMED: dict[str, Callable[[], dict[str, Any]]] = {
+    "normal_equations": lambda: alignment_arguments((4, 5), 3),
+    "image_cost": lambda: comparison_arguments() | {"view": None},
+    "delaunay_meshes": mesh_arguments,
+    "LightField.__init__": scene_arguments,
+    "LightField.views": views_arguments,
+    "VirtualViews.costs": comparison_arguments,
 }
 
 
@@ -39,8 +59,13 @@ def test_arguments_are_called_what_the_types_say(name: str) -> None:
     signature = (attrgetter(name)(native).__doc__ or "").splitlines()[0]
     found = re.match(rf"{name.rsplit('.', maxsplit=1)[-1]}\((.*?)\) -> ", signature)
     assert found
-    names = re.findall(r"(\w+): ", found[1])
     node = DESCRIBED[name]
+    if "**" in found[1]:
+        # Taken by name: ``NAMED`` are calls with just those that there are.
+        names = [argument.arg for argument in node.args.kwonlyargs]
+        assert sorted(names) == sorted(NAMED[name]())
+        return
+    names = re.findall(r"(\w+): ", found[1])
     arguments = [argument.arg for argument in node.args.args + node.args.kwonlyargs]
     assert names == [argument for argument in arguments if argument != "self"]
     described = CLASSES[name.split(".", maxsplit=1)[0]] if name.endswith("__init__") else node

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, Delaunay
@@ -92,7 +92,10 @@ def test_no_point_is_in_a_circumcircle(count: int, seed: int) -> None:
         assert np.all(along[0] * offsets[:, 1] - along[1] * offsets[:, 0] <= 1e-12)
 
 
-@settings(deadline=None, max_examples=200)
+# The same grids every time: in one of 10,000, noise of just the size below which three points count
+# as a line leaves a notch in the hull.
+@settings(deadline=None, max_examples=200, derandomize=True)
+@example(columns=5, rows=2, seed=1447, noise=1e-11)
 @given(
     columns=st.integers(2, 8),
     rows=st.integers(2, 8),
@@ -115,6 +118,7 @@ def test_regular_grids_are_triangulated_whatever_rounding_says(
         assert_is_triangulation(generator.permutation(points))
     triangles, _ = triangulate(generator.permutation(points))
     assert len(triangles) >= 2 * (columns - 1) * (rows - 1)
+    assert len(np.unique(triangles)) == len(points)
 
 
 @settings(deadline=None, max_examples=40)
@@ -179,7 +183,13 @@ def meshes(
     if takes_part is None:
         takes_part = np.ones((len(poses), len(centres)), dtype=np.bool_)
     photos, weights, regions, most = native.delaunay_meshes(
-        poses, camera.vector(), camera.width, camera.height, centres, takes_part, MESH_LIMITS
+        poses=poses,
+        intrinsics=camera.vector(),
+        width=camera.width,
+        height=camera.height,
+        centres=centres,
+        takes_part=takes_part,
+        limits=MESH_LIMITS,
     )
     return photos, weights.astype(np.float64), regions, most
 
@@ -321,7 +331,13 @@ def test_whatever_numbers_there_are_regions_are_whole(value: float) -> None:
         for array in (centres, poses, intrinsics):
             array[generator.random(array.shape) < 0.2] = value
         photos, _, regions, most = native.delaunay_meshes(
-            poses, intrinsics, 7, 5, centres, np.ones((1, 8), np.bool_), MESH_LIMITS
+            poses=poses,
+            intrinsics=intrinsics,
+            width=7,
+            height=5,
+            centres=centres,
+            takes_part=np.ones((1, 8), np.bool_),
+            limits=MESH_LIMITS,
         )
         assert regions.min() >= 0
         assert regions.max() < most

@@ -28,6 +28,7 @@ from pipelines.render.comparison import (
     prepared,
 )
 from pipelines.render.delaunay_mesh import MESH_LIMITS
+from pipelines.render.depth_samples import take_samples
 from pipelines.render.reference import frustum_positions
 from pipelines.render.renderer import Renderer
 from pipelines.render.surface import Quality, depth_inverse_depth, source_views
@@ -113,8 +114,10 @@ def test_threads_and_batches_change_nothing(blending: Blending, quality: Quality
     camera = SIZES[1]
     query = camera_image(camera, 8, 0.5)
     expected = renderer.costs(poses, camera, query, Cost.ROBUST, True)
-    several = Renderer(renderer.views, renderer.plane, blending, quality, threads=3)
-    np.testing.assert_array_equal(several.costs(poses, camera, query, Cost.ROBUST, True), expected)
+    for threads in (3, 40):
+        several = Renderer(renderer.views, renderer.plane, blending, quality, threads=threads)
+        found = several.costs(poses, camera, query, Cost.ROBUST, True)
+        np.testing.assert_array_equal(found, expected)
     single = [renderer.costs(pose[None], camera, query, Cost.ROBUST, True)[0] for pose in poses]
     np.testing.assert_array_equal(single, expected)
 
@@ -186,6 +189,47 @@ def test_a_camera_amid_the_depth_maps_sees_the_surface_of_the_readable_version()
         assert differs.mean() < 0.002
         covered += float((expected > 0.0).mean()) / 30.0
     assert 0.3 < covered < 1.0
+
+
+@pytest.mark.parametrize("quality", [Quality.PLANE, Quality.COARSE])
+@pytest.mark.parametrize("blending", Blending)
+def test_images_of_extreme_sides_are_rendered(blending: Blending, quality: Quality) -> None:
+    renderer, poses = light_field(5, 19, blending, quality)
+    for width, height in ((20_000, 1), (1, 20_000)):
+        camera = pinhole(width, height, 1.0 * max(width, height))
+        image = renderer.render_with_surface(poses[0], camera).rgba
+        assert image.shape == (height, width, 4)
+        assert np.isfinite(image).all()
+        cost = renderer.costs(poses[:1], camera, image[..., :3].copy(), Cost.SQUARED, False)
+        assert np.isfinite(cost).all()
+
+
+@pytest.mark.parametrize("blending", Blending)
+def test_no_poses_cost_nothing_and_no_pixels_give_no_image(blending: Blending) -> None:
+    renderer, poses = light_field(5, 20, blending)
+    camera = SIZES[0]
+    images, depths = drawn(renderer, poses[:0], camera, np.arange(9, dtype=np.int32))
+    assert images.shape == (0, 9, 4)
+    assert depths.shape == (0, 9)
+    images, _ = drawn(renderer, poses[:3], camera, np.arange(0, dtype=np.int32))
+    assert images.shape == (3, 0, 4)
+    assert (
+        renderer.costs(poses[:0], camera, camera_image(camera, 1, 1.0), Cost.ROBUST, True).size == 0
+    )
+
+
+@pytest.mark.parametrize("has_mesh", [False, True])
+def test_a_light_field_without_photos_shows_nothing(has_mesh: bool) -> None:
+    given = scene_arguments()
+    lengths = ("level_start", "level_size", "projection", "rays", "centres", "focal", "usable")
+    more = ("depth_start", "depth_size", "pooled_start", "order", "numbers", "members", "blocks")
+    nothing = {name: given[name][:0] for name in (*lengths, *more, "groups")}
+    scene = native.LightField(**given | nothing | {"has_mesh": has_mesh})
+    views = views_arguments()
+    views["sources"] = views["sources"] - 1
+    images, _ = scene.views(**views).render()
+    assert images.shape == (40, 7, 4)
+    assert not images.any()
 
 
 # --- arguments ---------------------------------------------------------------------------------
@@ -273,8 +317,8 @@ def views_arguments() -> dict[str, Any]:
         "intrinsics": camera.vector(),
         "across": tile_borders(camera.width),
         "down": tile_borders(camera.height),
-        "outlook_across": outlook_positions(camera.width),
-        "outlook_down": outlook_positions(camera.height),
+        "probes_across": outlook_positions(camera.width),
+        "probes_down": outlook_positions(camera.height),
         "frustum_across": frustum_positions(camera.width),
         "frustum_down": frustum_positions(camera.height),
         "pixels": np.arange(7, dtype=np.int32),
@@ -306,12 +350,14 @@ COMPARISONS: list[tuple[str, Callable[[Any], object]]] = [
     ("across", lambda a: a[::-1].copy()),
     ("down", lambda a: a - 1),
     ("down", lambda a: a[:1]),
-    ("outlook_across", lambda a: a + 1),
-    ("outlook_down", lambda a: a[:3]),
+    ("probes_across", lambda a: a + 1),
+    ("probes_down", lambda a: a[:3]),
     ("frustum_across", lambda a: a + 1),
     ("frustum_down", lambda a: -a),
     ("pixels", lambda a: a + 24 * 18 - 6),
     ("pixels", lambda a: a - 1),
+    ("pixels", lambda a: a[::-1].copy()),
+    ("pixels", lambda a: a // 2),
     ("width", lambda a: 0),
     ("height", lambda a: 2**16),
     ("samples", lambda a: 1),
@@ -347,6 +393,17 @@ def test_a_wrong_argument_of_a_comparison_is_named(
             scene.views(**views).costs(**given | {name: wrong})
 
 
+@pytest.mark.parametrize("name", ["query", "fit_gain", "evidence_bin"])
+def test_a_name_that_is_missing_or_too_much_is_said(name: str) -> None:
+    views = native.LightField(**scene_arguments()).views(**views_arguments())
+    given = comparison_arguments()
+    with pytest.raises(TypeError, match=r"^more: no argument of this name expected$"):
+        views.costs(**given | {"more": 1})
+    del given[name]
+    with pytest.raises(TypeError, match=rf"^{name}: an argument of this name expected$"):
+        views.costs(**given)
+
+
 def test_views_outlive_what_they_were_made_of() -> None:
     arguments, given = scene_arguments(), comparison_arguments()
     views = native.LightField(**arguments).views(**views_arguments())
@@ -365,22 +422,29 @@ def test_samples_of_another_light_field_are_refused() -> None:
         scene.views(**views_arguments() | {"samples": samples})
 
 
-SAMPLING: list[tuple[str, Callable[[Any], object]]] = [
-    ("is_source", lambda a: a[:-1]),
-    ("is_source", lambda a: a.astype(np.int64)),
-    ("steps", lambda a: a[1:]),
-    ("steps", lambda a: 0.5 * a),
-    ("steps", lambda a: np.nan * a),
+SAMPLES: list[Callable[[Any], object]] = [
+    lambda given: tuple(given)[:3],
+    list,
+    lambda given: given._replace(values=given.values[:-1]),
+    lambda given: given._replace(values=given.values[:, :2].copy()),
+    lambda given: given._replace(values=given.values.astype(np.float64)),
+    lambda given: given._replace(boxes=given.boxes[:, 1:].copy()),
+    lambda given: given._replace(starts=given.starts - 1),
+    lambda given: given._replace(ends=given.ends + 1),
+    lambda given: given._replace(ends=given.ends + 2**40),
+    lambda given: given._replace(ends=given.ends[1:]),
 ]
 
 
-@pytest.mark.parametrize(("name", "spoil"), SAMPLING)
-def test_a_wrong_argument_of_sampling_is_named(name: str, spoil: Callable[[Any], object]) -> None:
+@pytest.mark.parametrize("spoil", SAMPLES)
+def test_wrong_samples_are_refused(spoil: Callable[[Any], object]) -> None:
     scene = native.LightField(**scene_arguments())
-    given: dict[str, Any] = {"is_source": np.ones(5, np.bool_), "steps": np.ones(5)}
-    assert scene.depth_samples(**given).count() > 64
-    with pytest.raises((TypeError, ValueError), match=rf"^{name}: [^\n]+$"):
-        scene.depth_samples(**given | {name: spoil(given[name])})
+    renderer, _ = light_field(5, 11, quality=Quality.FINE)
+    samples = take_samples(renderer.views.arrays, np.ones(5, np.bool_), np.ones(5))
+    given = views_arguments() | {"samples": samples}
+    assert scene.views(**given).render()[1].any()
+    with pytest.raises((TypeError, ValueError), match=r"^samples: [^\n]+$"):
+        scene.views(**given | {"samples": spoil(samples)})
 
 
 CHOOSING: list[tuple[str, object]] = [

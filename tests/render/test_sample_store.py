@@ -6,6 +6,7 @@ import pytest
 from pipelines.artifacts.arrays import BoolArray, FloatArray
 from pipelines.lightfield.views import Views, build_views
 from pipelines.render import sample_store
+from pipelines.render.depth_samples import BATCH, BATCHES, take_samples
 from pipelines.render.renderer import Renderer
 from pipelines.render.sample_store import SampleStore
 from pipelines.render.surface import Quality
@@ -57,9 +58,8 @@ def test_views_are_added_to_what_is_kept() -> None:
 
 def test_no_more_is_kept_than_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     views = VIEWS.arrays
-    renderer = Renderer(VIEWS, WALL, quality=Quality.FINE, threads=1)
     one, three = (
-        renderer._native._light_field.depth_samples(marked(*some), np.ones(6)).count()
+        take_samples(views, marked(*some), np.ones(6)).values[:, 0].size
         for some in ((1,), (3, 4, 5))
     )
     monkeypatch.setattr(sample_store, "MOST_SAMPLES", int(1.5 * one))
@@ -77,6 +77,36 @@ def test_no_more_is_kept_than_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     other = kept(marked(1), FOCAL, 0.2)
     assert kept(marked(1), FOCAL, 0.2) is other
     assert kept(marked(1), FOCAL, 0.1) is not first
+
+
+@pytest.mark.parametrize("step", [1.0, 1.7, 40.0, 1e6])
+def test_samples_are_those_of_the_depth_maps(step: float) -> None:
+    views = VIEWS.arrays
+    values, boxes, starts, ends = take_samples(views, marked(1, 4), np.full(6, step))
+    assert len(values) == ends[-1]
+    assert boxes.shape == (6, len(values) + BATCHES)
+    np.testing.assert_array_equal(starts[1:], ends[:-1])
+    assert not (ends - starts)[[0, 2, 3, 5]].any()
+    low, high = boxes[:3] - boxes[3:], boxes[:3] + boxes[3:]
+    for axis in range(3):
+        own = values[:, axis]
+        np.testing.assert_allclose(own.min(axis=1), low[axis, : len(values)], atol=1e-5)
+        np.testing.assert_allclose(own.max(axis=1), high[axis, : len(values)], atol=1e-5)
+    for view in (1, 4):
+        depth = VIEWS.depth_map(view)
+        rows, columns = (
+            np.unique((step * np.arange(np.ceil(size / step))).astype(int)) for size in depth.shape
+        )
+        expected = {
+            (column - 0.5 * depth.shape[1] + 0.5, row - 0.5 * depth.shape[0] + 0.5, value)
+            for row in rows
+            for column in columns
+            if (value := float(depth[row, column])) > 0.0
+        }
+        found = values[starts[view] : ends[view]].swapaxes(1, 2).reshape(-1, 3)
+        assert {tuple(sample) for sample in found.tolist()} == expected
+        # None twice, but those that fill up the last batch.
+        assert len(found) == -(-len(expected) // BATCH) * BATCH
 
 
 def test_costs_do_not_depend_on_what_was_asked_before() -> None:

@@ -1,9 +1,10 @@
-#include "array_argument.hpp"
+#include "arguments.hpp"
 
 #include <cmath>
 #include <cstdint>
 #include <cstdio>
 #include <string>
+#include <type_traits>
 
 namespace nb = nanobind;
 
@@ -11,20 +12,17 @@ namespace lfnav {
 
 namespace {
 
+/// As NumPy calls it.
 template <typename Element>
-constexpr const char* ELEMENT_NAME = nullptr;
-template <>
-constexpr const char* ELEMENT_NAME<float> = "float32";
-template <>
-constexpr const char* ELEMENT_NAME<double> = "float64";
-template <>
-constexpr const char* ELEMENT_NAME<bool> = "bool";
-template <>
-constexpr const char* ELEMENT_NAME<std::uint8_t> = "uint8";
-template <>
-constexpr const char* ELEMENT_NAME<std::int32_t> = "int32";
-template <>
-constexpr const char* ELEMENT_NAME<std::int64_t> = "int64";
+std::string element_name() {
+    if (std::is_same_v<Element, bool>) {
+        return "bool";
+    }
+    const std::string kind = std::is_floating_point_v<Element> ? "float"
+                             : std::is_signed_v<Element>       ? "int"
+                                                               : "uint";
+    return kind + std::to_string(8 * sizeof(Element));
+}
 
 std::string text(nb::handle object) { return nb::str(object).c_str(); }
 
@@ -37,24 +35,14 @@ std::string number_text(double value) {
 }
 
 /// "(H, W, 4)" would be nicer, but what axes are called only the documentation knows.
-std::string wanted_text(std::initializer_list<std::size_t> shape) {
+template <typename LengthAt>
+std::string shape_text(std::size_t axes, LengthAt length) {
     std::string result = "(";
-    for (const std::size_t length : shape) {
-        result += (result.size() > 1 ? ", " : "") + (length == ANY ? "*" : std::to_string(length));
+    for (std::size_t axis = 0; axis < axes; ++axis) {
+        const std::size_t own = length(axis);
+        result += (axis > 0 ? ", " : "") + (own == ANY ? "*" : std::to_string(own));
     }
-    return result + (shape.size() == 1 ? ",)" : ")");
-}
-
-[[noreturn]] void refuse_type(const char* name, const std::string& reason) {
-    throw nb::type_error((name + (": " + reason)).c_str());
-}
-
-std::string given_text(const nb::ndarray<nb::ro>& array) {
-    std::string result = "(";
-    for (std::size_t axis = 0; axis < array.ndim(); ++axis) {
-        result += (axis > 0 ? ", " : "") + std::to_string(array.shape(axis));
-    }
-    return result + (array.ndim() == 1 ? ",)" : ")");
+    return result + (axes == 1 ? ",)" : ")");
 }
 
 bool is_in_c_order(const nb::ndarray<nb::ro>& array) {
@@ -74,23 +62,42 @@ void refuse_value(const char* name, const std::string& reason) {
     throw nb::value_error((name + (": " + reason)).c_str());
 }
 
+void refuse_type(const char* name, const std::string& reason) {
+    throw nb::type_error((name + (": " + reason)).c_str());
+}
+
+nb::object NamedArguments::take(const char* name) {
+    if (!left_.contains(name)) {
+        refuse_type(name, "an argument of this name expected");
+    }
+    nb::object value = left_[name];
+    nb::del(left_[name]);
+    return value;
+}
+
+void NamedArguments::end() const {
+    for (const auto [name, value] : left_) {
+        refuse_type(text(name).c_str(), "no argument of this name expected");
+    }
+}
+
 template <typename Element>
-ArrayArgument<Element>::ArrayArgument(nb::handle array, const char* name,
-                                      std::initializer_list<std::size_t> shape) {
-    const std::string wanted = ELEMENT_NAME<Element>;
+ArrayArgument<Element>::ArrayArgument(nb::handle array, const char* name, Shape shape) {
     const bool is_array = nb::ndarray_check(array);
     if (!is_array || !nb::try_cast(array, array_) || array_.dtype() != nb::dtype<Element>()) {
         const bool has_type = is_array && nb::hasattr(array, "dtype");
-        refuse_type(name, "an array of " + wanted + " expected, got " +
+        refuse_type(name, "an array of " + element_name<Element>() + " expected, got " +
                               (has_type ? text(array.attr("dtype")) : class_name(array)));
     }
+    const auto length = [&](std::size_t axis) { return shape.begin()[axis]; };
+    const auto given = [&](std::size_t axis) { return array_.shape(axis); };
     bool fits = array_.ndim() == shape.size();
     for (std::size_t axis = 0; fits && axis < shape.size(); ++axis) {
-        const std::size_t length = shape.begin()[axis];
-        fits = length == ANY || array_.shape(axis) == length;
+        fits = length(axis) == ANY || given(axis) == length(axis);
     }
     if (!fits) {
-        refuse_value(name, "shape " + wanted_text(shape) + " expected, got " + given_text(array_));
+        refuse_value(name, "shape " + shape_text(shape.size(), length) + " expected, got " +
+                               shape_text(array_.ndim(), given));
     }
     if (array_.size() == 0) {
         return;
@@ -110,13 +117,6 @@ template class ArrayArgument<std::uint8_t>;
 template class ArrayArgument<std::int32_t>;
 template class ArrayArgument<std::int64_t>;
 
-MaskedImageArgument::MaskedImageArgument(nb::handle array, const char* name)
-    : array_(array, name, {ANY, ANY, 4}) {}
-
-MaskedImageArgument::MaskedImageArgument(nb::handle array, const char* name,
-                                         const MaskedImage& like)
-    : array_(array, name, {like.height, like.width, 4}) {}
-
 double finite_number(nb::handle number, const char* name) {
     const double value = PyFloat_AsDouble(number.ptr());
     if (value == -1.0 && PyErr_Occurred()) {
@@ -129,11 +129,12 @@ double finite_number(nb::handle number, const char* name) {
     return value;
 }
 
-double number_from(double least, nb::handle number, const char* name) {
+double number_between(double least, double most, nb::handle number, const char* name) {
     const double value = finite_number(number, name);
-    if (value < least) {
-        refuse_value(name,
-                     "at least " + number_text(least) + " expected, got " + number_text(value));
+    if (value < least || value > most) {
+        const std::string limit =
+            value < least ? "at least " + number_text(least) : "at most " + number_text(most);
+        refuse_value(name, limit + " expected, got " + number_text(value));
     }
     return value;
 }
@@ -144,6 +145,13 @@ double positive_number(nb::handle number, const char* name) {
         refuse_value(name, "a number above 0 expected, got " + number_text(value));
     }
     return value;
+}
+
+bool truth(nb::handle value, const char* name) {
+    if (!PyBool_Check(value.ptr())) {
+        refuse_type(name, "True or False expected, got " + class_name(value));
+    }
+    return value.is(Py_True);
 }
 
 std::size_t integer_between(std::size_t least, std::size_t most, nb::handle number,
@@ -161,18 +169,6 @@ std::size_t integer_between(std::size_t least, std::size_t most, nb::handle numb
                                std::to_string(most) + " expected, got " + text(number));
     }
     return static_cast<std::size_t>(value);
-}
-
-void check_range(std::span<const std::int32_t> values, std::int64_t least, std::size_t end,
-                 const char* name) {
-    const auto last = static_cast<std::int64_t>(end) - 1;
-    for (const std::int32_t value : values) {
-        if (value < least || value > last) {
-            refuse_value(name, "numbers from " + std::to_string(least) + " to " +
-                                   std::to_string(last) + " expected, got " +
-                                   std::to_string(value));
-        }
-    }
 }
 
 template <typename Element>

@@ -26,6 +26,22 @@ inline auto argument(const char* name) { return nanobind::arg(name).none(); }
 
 /// Throws nanobind::value_error with one line about an argument.
 [[noreturn]] void refuse_value(const char* name, const std::string& reason);
+/// Throws nanobind::type_error likewise.
+[[noreturn]] void refuse_type(const char* name, const std::string& reason);
+
+/// The arguments of a call that has many of them, each given by its name.
+class NamedArguments {
+  public:
+    explicit NamedArguments(const nanobind::kwargs& given) : left_(given) {}
+
+    /// @throws nanobind::type_error if it is missing.
+    nanobind::object take(const char* name);
+    /// @throws nanobind::type_error if any has not been taken.
+    void end() const;
+
+  private:
+    nanobind::dict left_;
+};
 
 /// An array of Python's, kept alive as long as this is there.
 ///
@@ -34,29 +50,25 @@ inline auto argument(const char* name) { return nanobind::arg(name).none(); }
 template <typename Element>
 class ArrayArgument {
   public:
+    using Shape = std::initializer_list<std::size_t>;
+
     /// @param shape: what is wanted; ANY for an axis of any length.
-    ArrayArgument(nanobind::handle array, const char* name,
-                  std::initializer_list<std::size_t> shape);
+    ArrayArgument(nanobind::handle array, const char* name, Shape shape);
+    ArrayArgument(NamedArguments& given, const char* name, Shape shape)
+        : ArrayArgument(given.take(name), name, shape) {}
 
     const Element* data() const { return static_cast<const Element*>(array_.data()); }
     std::size_t shape(std::size_t axis) const { return array_.shape(axis); }
     std::span<const Element> span() const { return {data(), array_.size()}; }
 
+    /// As kernels take an image (H, W) or (H, W, CHANNELS).
+    template <std::size_t CHANNELS>
+    operator Image<Element, CHANNELS>() const {
+        return {data(), shape(0), shape(1)};
+    }
+
   private:
     nanobind::ndarray<nanobind::ro> array_;
-};
-
-/// An image (H, W, 4), see MaskedImage.
-class MaskedImageArgument {
-  public:
-    MaskedImageArgument(nanobind::handle array, const char* name);
-    /// One that has to be as large as another.
-    MaskedImageArgument(nanobind::handle array, const char* name, const MaskedImage& like);
-
-    operator MaskedImage() const { return {array_.data(), array_.shape(0), array_.shape(1)}; }
-
-  private:
-    ArrayArgument<float> array_;
 };
 
 /// A finite number.
@@ -65,19 +77,36 @@ class MaskedImageArgument {
 /// @throws nanobind::value_error if it is not finite.
 double finite_number(nanobind::handle number, const char* name);
 
+/// A finite number within limits, both included.
+double number_between(double least, double most, nanobind::handle number, const char* name);
+
 /// A finite number of at least so much.
-double number_from(double least, nanobind::handle number, const char* name);
+inline double number_from(double least, nanobind::handle number, const char* name) {
+    return number_between(least, std::numeric_limits<double>::max(), number, name);
+}
 
 /// A finite number above zero.
 double positive_number(nanobind::handle number, const char* name);
+
+/// True or False.
+bool truth(nanobind::handle value, const char* name);
 
 /// An integer within limits, both included.
 std::size_t integer_between(std::size_t least, std::size_t most, nanobind::handle number,
                             const char* name);
 
 /// Refuses an array in which a number is below the least or not below the end.
-void check_range(std::span<const std::int32_t> values, std::int64_t least, std::size_t end,
-                 const char* name);
+template <typename Integer>
+void check_range(std::span<const Integer> values, std::int64_t least, std::size_t end,
+                 const char* name) {
+    for (const Integer value : values) {
+        if (value < least || value >= static_cast<std::int64_t>(end)) {
+            refuse_value(name, "numbers from " + std::to_string(least) + " to " +
+                                   std::to_string(static_cast<std::int64_t>(end) - 1) +
+                                   " expected, got " + std::to_string(value));
+        }
+    }
+}
 
 /// A new NumPy array, all of its elements zero, and where they are.
 template <typename Element>

@@ -1,4 +1,4 @@
-// Of very many photos those that are the best at any of a few points: candidate view selection.
+// Candidate view selection: of very many photos those that are the best at any of a few points.
 //
 // At each point only those groups of photos are looked at that may hold one better than the best so
 // far: the angle between a ray to the point and any ray from inside a sphere differs from that to
@@ -33,7 +33,8 @@ LFNAV_INLINE void set_bounds(const SurfacePoints& points, const float* group,
         const Deviation<Vector> from(point, x, y, z);
         const Vector slack =
             2.0F * radius / larger(2.0F * from.distance - radius, zero + ROUNDING * radius);
-        const Vector coarser = larger((from.distance - radius) * point.nearness - 1.0F, zero);
+        const Vector coarser =
+            larger((from.distance - radius) * point.inverse_distance - 1.0F, zero);
         const Vector bound = from.chord - slack + settings.resolution * coarser - ROUNDING;
         const Vector rx = point.x - x, ry = point.y - y, rz = point.z - z;
         // How far the point may be on the inner side of the planes for each side of the images, too
@@ -49,7 +50,7 @@ LFNAV_INLINE void set_bounds(const SurfacePoints& points, const float* group,
 }
 
 /// The best photo at each point.
-struct Outlook {
+struct CandidateViews {
     float penalty[POINTS];
     /// Rows of the index; -1: none.
     std::int32_t row[POINTS];
@@ -63,9 +64,10 @@ inline bool is_hidden(const Photos& photos, std::size_t photo, float u, float v,
 }
 
 /// Puts the best of a group's photos there if none before it was as good at a point.
-inline void look_at_group(const SurfacePoints& points, const Photos& photos,
+inline void compare_group(const SurfacePoints& points, const Photos& photos,
                           const PhotoIndex& index, std::size_t group,
-                          const PenaltySettings& settings, std::size_t place, Outlook& best) {
+                          const PenaltySettings& settings, std::size_t place,
+                          CandidateViews& best) {
     using Vector = FloatVector;
     constexpr std::size_t PHOTOS = PhotoIndex::GROUP_PHOTOS;
     const float* const numbers = index.blocks + PhotoIndex::PHOTO_NUMBERS * PHOTOS * group;
@@ -96,8 +98,9 @@ inline void look_at_group(const SurfacePoints& points, const Photos& photos,
 /// Finds the photo with the smallest penalty at each point.
 ///
 /// @param bounds: (G, POINTS) overwritten.
-inline void look_out(const SurfacePoints& points, const Photos& photos, const PhotoIndex& index,
-                     const PenaltySettings& settings, float* bounds, Outlook& best) {
+inline void find_candidates(const SurfacePoints& points, const Photos& photos,
+                            const PhotoIndex& index, const PenaltySettings& settings, float* bounds,
+                            CandidateViews& best) {
     float promised[POINTS];
     std::size_t most_promising[POINTS];
     for (std::size_t i = 0; i < POINTS; ++i) {
@@ -117,21 +120,21 @@ inline void look_out(const SurfacePoints& points, const Photos& photos, const Ph
     // The most promising ones first spare a look at most others.
     for (std::size_t i = 0; i < POINTS; ++i) {
         if (most_promising[i] < index.groups) {
-            look_at_group(points, photos, index, most_promising[i], settings, i, best);
+            compare_group(points, photos, index, most_promising[i], settings, i, best);
         }
     }
     for (std::size_t group = 0; group < index.groups; ++group) {
         for (std::size_t i = 0; i < POINTS; ++i) {
             // As good a one may stand before the best in the index.
             if (bounds[POINTS * group + i] <= best.penalty[i] && most_promising[i] != group) {
-                look_at_group(points, photos, index, group, settings, i, best);
+                compare_group(points, photos, index, group, settings, i, best);
             }
         }
     }
 }
 
 /// Writes, rising, the rows of the photos that are the best at any point; returns their number.
-inline std::size_t distinct_rows(const Outlook& best, std::int32_t* rows) {
+inline std::size_t distinct_rows(const CandidateViews& best, std::int32_t* rows) {
     std::int32_t* end =
         std::copy_if(best.row, best.row + POINTS, rows, [](std::int32_t row) { return row >= 0; });
     std::sort(rows, end);
