@@ -1,4 +1,4 @@
-"""What the run of a docking has beside its frames: the goal, the commands, how it ended.
+"""The record of a docking in a run: goal, commands and outcome.
 
 In the file it is the group ``docking``: ``header`` (JSON: robot, drive, outcome, reason, the name
 of the state at each frame), ``goal``, ``staging``, ``commands`` and ``measured``.
@@ -21,19 +21,19 @@ class DockingRecord:
     """How a docking went.
 
     Attributes:
-        robot: as it was named.
-        drive: ``omni`` or ``diff``.
-        outcome: the ending's name.
-        exit_code: of the command.
+        robot: its name on the command line.
+        drive: kinematics of the robot, ``omni`` or ``diff``.
+        outcome: name of the outcome.
+        exit_code: exit code of the command.
         reason: one line that says why it ended so.
         attempts: times that the robot left the staging pose.
-        settings: of the docking, plain JSON types.
+        settings: settings of the docking, plain JSON types.
         goal: ``(3,)`` x, y in metres and heading in radians.
         staging: ``(3,)`` where the last approach begins.
         states: name of the state after each of the N frames.
         commands: ``(N, 3)`` the movement commanded after each frame, in the robot's frame: metres
             forward and left, radians; zeros after the last.
-        measured: ``(N, 3)`` the same as odometry measured it.
+        measured: ``(N, 3)`` the movement after each frame by odometry, in the robot's frame.
 
     Raises:
         OptionError: parts that do not fit together.

@@ -38,11 +38,11 @@ SCHEMA_VERSION = 2
 STATUSES = ("global", "tracking", "blind", "stale", "lost")
 # Of images that say nothing of where the body is: odometry alone carries the pose on.
 BY_ODOMETRY = ("blind", "stale")
-# What an alignment starts from is the answer where there is none: in a search, without an image.
+# Estimate -> its fallback in frames without it: in a search, or for a blind image, none is aligned.
 STAND_INS = {"refined": "mode"}
-# The first of these that the frames have stands for the run where nobody asks for another one.
+# The default estimate of a run is the first of these that the frames have.
 ESTIMATE_PREFERENCE = ("refined", "mode", "mean", "max_weight")
-# The pose by features; beside the filter it stands for itself alone, never for the run.
+# The pose by features; where it only runs beside the filter it is never the default.
 PNP_ESTIMATE = "pnp"
 MAX_IMAGE_BYTES = 256 * 1024 * 1024
 SECONDS_PREFIX = "seconds_"
@@ -63,7 +63,7 @@ class FrameRecord:
         estimates: name -> state ``(D,)``; empty where no estimate can be given (lost).
         modes: ``(K, D + 1)`` state and share of the weight; heaviest first.
         covariance: ``(D, D)`` of the heaviest mode.
-        effective_sample_size: of the weights.
+        effective_sample_size: 1 / sum of the squared weights.
         confidence: 0 to 1; of the filter the probability that the estimate is within 0.1 m and 3
             degrees of the truth.
         status: one of ``STATUSES``: still searching, following one place, following it by odometry
@@ -129,7 +129,7 @@ class Run:
         camera: its camera.
         base_from_camera: ``(4, 4)`` the camera's mount.
         settings: the filter's settings, plain JSON types. A text ``estimate`` among them names the
-            estimate that stands for the run.
+            default estimate.
         seed: of the random numbers.
         frames: at least one, in order of time.
         encoded_images: the camera images' file content, one a frame, as recorded.
@@ -205,13 +205,13 @@ class Run:
 
     @property
     def own_estimate_names(self) -> tuple[str, ...]:
-        """The same without PnP where that only ran beside the filter."""
+        """Names of the estimates, sorted, without PnP where that only ran beside the filter."""
         is_own = self.settings.get("method") == "pnp"
         return tuple(name for name in self.estimate_names if is_own or name != PNP_ESTIMATE)
 
     @property
     def default_estimate(self) -> str:
-        """The estimate that stands for the run: from the settings, else the finest there is.
+        """The default estimate: the one that the settings name, else the finest there is.
 
         Raises:
             OptionError: no frame has an estimate.

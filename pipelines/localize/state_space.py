@@ -6,7 +6,7 @@ are the world's. So means, covariances, Gaussians and noise are written once:
 
 ``planar``: x, y, heading; the robot stands on z = 0 and its camera sits on a mount.
 ``spatial``: x, y, z and the rotation vector of world_from_body. A difference of rotations is the
-rotation vector, in world axes, of the turn that leads from one to the other (the tangent space of
+rotation vector, in world axes, of the rotation from one to the other (the tangent space of
 SO(3); Sola, Deray, Atchuthan 2018, "A micro Lie theory for state estimation in robotics").
 """
 
@@ -73,7 +73,7 @@ class StateSpace(Protocol):
         """The motion ``(D,)`` between two poses ``(4, 4)``, in the frame of the first."""
 
     def mean(self, states: FloatArray, weights: FloatArray) -> FloatArray:
-        """Weighted mean ``(D,)``; where the headings cancel, the heaviest state's stands."""
+        """Weighted mean ``(D,)``; where headings cancel out, the heaviest state's is taken."""
 
     def spread(self, states: FloatArray) -> FloatArray:
         """Standard deviation ``(D,)`` of states ``(M, D)`` about their mean."""
@@ -195,14 +195,14 @@ class Spatial:
     def moved(self, states: FloatArray, offsets: FloatArray) -> FloatArray:
         """See ``StateSpace.moved``."""
         states, offsets = np.broadcast_arrays(states, offsets)
-        turned = _rotations(offsets) * _rotations(states)
-        return _joined(states[..., :3] + offsets[..., :3], turned)
+        rotations = _rotations(offsets) * _rotations(states)
+        return _joined(states[..., :3] + offsets[..., :3], rotations)
 
     def difference(self, states: FloatArray, centre: FloatArray) -> FloatArray:
         """See ``StateSpace.difference``."""
         states, centre = np.broadcast_arrays(states, centre)
-        turn = _rotations(states) * _rotations(centre).inv()
-        return _joined(states[..., :3] - centre[..., :3], turn)
+        rotations = _rotations(states) * _rotations(centre).inv()
+        return _joined(states[..., :3] - centre[..., :3], rotations)
 
     def composed(self, states: FloatArray, increments: FloatArray) -> FloatArray:
         """See ``StateSpace.composed``."""
@@ -265,6 +265,13 @@ def sigmas_of(space: StateSpace, position: float, angle: float) -> FloatArray:
     return np.array([position] * space.positions + [angle] * space.angles)
 
 
+def magnitudes(space: StateSpace, difference: FloatArray) -> tuple[float, float]:
+    """How far a difference ``(D,)`` leads: metres and radians."""
+    metres = np.linalg.norm(difference[: space.positions])
+    radians = np.linalg.norm(difference[space.positions :])
+    return float(metres), float(radians)
+
+
 def state_space_named(name: str) -> StateSpace:
     """The state space of a name.
 
@@ -289,12 +296,19 @@ def state_space_of_dimension(dimension: int) -> StateSpace:
     raise OptionError(f"states have {dimension} numbers instead of 3 (planar) or 6 (spatial)")
 
 
-def cells_of(
+def grid_cells(
     space: StateSpace, states: FloatArray, position_size: float, angle_size: float
 ) -> IntArray:
-    """Grid cells ``(M, D)`` in which states lie, for counting how far a belief is spread."""
-    sizes = np.array([position_size] * space.positions + [angle_size] * space.angles)
-    # Moved by nothing, so that full turns do not make cells.
+    """Grid cells ``(M, D)`` in which states lie, for counting how far a belief is spread.
+
+    Args:
+        space: what a state is.
+        states: ``(M, D)``.
+        position_size: side of a cell along each position, metres.
+        angle_size: side of a cell along each angle, radians.
+    """
+    sizes = sigmas_of(space, position_size, angle_size)
+    # Moved by nothing, so that angles are wrapped: a whole revolution is no other cell.
     canonical = space.moved(states, np.zeros(space.dimension))
     return np.asarray(np.floor(canonical / sizes), dtype=np.int64)
 

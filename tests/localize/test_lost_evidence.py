@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray
-from pipelines.localize.alignment import Prior, Refined
+from pipelines.localize.alignment import Alignment, Prior
 from pipelines.localize.localizer import Localizer
 from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.motion import MotionModel
@@ -28,7 +28,7 @@ class Misled(MeasurementModel):
         observations: Observations,
         widths: Sequence[int],
         prior: Prior | None = None,
-    ) -> Refined:
+    ) -> Alignment:
         found = super().aligned(state, observations, widths, prior)
         return replace(found, state=self.end(state, found.state, prior))
 

@@ -139,7 +139,7 @@ def test_the_contrast_is_that_of_the_used_pixels() -> None:
 
 def test_what_is_masked_is_not_discovered_and_what_is_not_masked_still_is() -> None:
     observer = Observer(CAMERA, WIDTHS, MASK)
-    assert not any(observer(with_bumper(photo(state))).uncovers for state in WAY)
+    assert not any(observer(with_bumper(photo(state))).is_newly_masked for state in WAY)
     # Tape on the part that is used.
     observer = Observer(CAMERA, WIDTHS, MASK)
     uncovered = []
@@ -147,7 +147,7 @@ def test_what_is_masked_is_not_discovered_and_what_is_not_masked_still_is() -> N
         image = with_bumper(photo(state))
         image[:16, :16] = (120, 110, 90)
         observations = observer(image)
-        uncovered.append(observations.uncovers)
+        uncovered.append(observations.is_newly_masked)
     assert uncovered.count(True) == 1
     gaps = np.isnan(observations.by_width[24].image[..., 0])
     assert gaps[12:].all()
