@@ -296,7 +296,7 @@ class LightField:
         inverse_depth: (D,).
         depth_start: (N,).
         depth_size: (N, 2).
-        pooled_depth: (B,) the largest inverse depths in squares, see ``ViewArrays.blocks``.
+        pooled_depth: (B,) the largest inverse depths in squares, see ``ViewArrays``.
         pooled_start: (N,) where each photo's begin.
         usable: (N,) which photos may take part.
         origin: (3,) of the index of these, see ``ViewIndex``, as all up to groups.

@@ -63,7 +63,7 @@ def test_an_extra_whose_library_does_not_load(
     monkeypatch.syspath_prepend(tmp_path)
     assert chosen_gpu(Device.AUTO) is None
     assert "libwgpu_native.so: cannot open" in caplog.text
-    with pytest.raises(OptionError, match=r"libwgpu_native.so: cannot open.*install it anew"):
+    with pytest.raises(OptionError, match=r"libwgpu_native.so: cannot open.*reinstall it"):
         chosen_gpu(Device.GPU)
 
 
