@@ -250,10 +250,9 @@ def views_of_scene(
 def _shrunk_depth(inverse_depth: Float32Array, largest_side: int | None) -> Float32Array:
     """A depth map of at most so many pixels a side; no means, since these lie on no surface."""
     height, width = inverse_depth.shape
-    if largest_side is None or max(height, width) <= largest_side:
+    size = shrunk_size(width, height, largest_side)
+    if size == (width, height):
         return inverse_depth
-    scale = largest_side / max(height, width)
-    size = max(1, round(width * scale)), max(1, round(height * scale))
     resized = cv2.resize(inverse_depth, size, interpolation=cv2.INTER_NEAREST)
     return np.asarray(resized, dtype=np.float32)
 
@@ -262,14 +261,19 @@ def shrink(
     image: ImageArray, intrinsics: Intrinsics, largest_side: int | None
 ) -> tuple[ImageArray, Intrinsics]:
     """Area-averages an image until its longer side has at most ``largest_side`` pixels."""
-    longer = max(intrinsics.width, intrinsics.height)
-    if largest_side is None or longer <= largest_side:
+    width, height = shrunk_size(intrinsics.width, intrinsics.height, largest_side)
+    if (width, height) == (intrinsics.width, intrinsics.height):
         return image, intrinsics
+    return area_average(image, width, height), intrinsics.resized(width, height)
+
+
+def shrunk_size(width: int, height: int, largest_side: int | None) -> tuple[int, int]:
+    """Width and height of an image reduced until its longer side has at most so many pixels."""
+    longer = max(width, height)
+    if largest_side is None or longer <= largest_side:
+        return width, height
     scale = largest_side / longer
-    smaller = intrinsics.resized(
-        max(1, round(intrinsics.width * scale)), max(1, round(intrinsics.height * scale))
-    )
-    return area_average(image, smaller.width, smaller.height), smaller
+    return max(1, round(width * scale)), max(1, round(height * scale))
 
 
 def area_average(image: ImageArray, width: int, height: int) -> ImageArray:

@@ -28,7 +28,7 @@ from pipelines.artifacts.safe_hdf5 import (
     write_json,
     write_schema,
 )
-from pipelines.geometry.camera import Camera
+from pipelines.geometry.camera import Camera, camera_from_dict
 from pipelines.localize.belief import Belief
 from pipelines.localize.docking_record import DockingRecord, read_docking, write_docking
 from pipelines.localize.state_space import StateSpace, state_space_of_dimension
@@ -290,12 +290,7 @@ def save_run(path: Path, run: Run, overwrite: bool) -> None:
             "scene_identifier": run.scene_identifier,
             "scene_path": run.scene_path,
             "dataset_name": run.dataset_name,
-            "camera": {
-                "model": run.camera.model,
-                "width": run.camera.width,
-                "height": run.camera.height,
-                "params": list(run.camera.params),
-            },
+            "camera": run.camera.to_dict(),
             "settings": dict(run.settings),
             "seed": run.seed,
             "frames": len(run.frames),
@@ -359,7 +354,6 @@ def _write_frame(group: Any, frame: FrameRecord, image: bytes) -> None:
 
 def _read_run(file: SafeFile) -> Run:
     header = file.read_json("run")
-    camera = header["camera"]
     count = int(header["frames"])
     if count != len(file.names("frames")):
         raise InputError(file.path, f"declares {count} frames, has {len(file.names('frames'))}")
@@ -372,12 +366,7 @@ def _read_run(file: SafeFile) -> Run:
         scene_identifier=str(header["scene_identifier"]),
         scene_path=str(header["scene_path"]),
         dataset_name=str(header["dataset_name"]),
-        camera=Camera(
-            str(camera["model"]),
-            int(camera["width"]),
-            int(camera["height"]),
-            tuple(float(value) for value in camera["params"]),
-        ),
+        camera=camera_from_dict(header["camera"]),
         base_from_camera=_read_floats(file, "base_from_camera", (4, 4)),
         settings=dict(header["settings"]),
         seed=int(header["seed"]),

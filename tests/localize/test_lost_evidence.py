@@ -11,8 +11,8 @@ from pipelines.localize.localizer import Localizer
 from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.motion import MotionModel
 from pipelines.localize.observation import Observations
-from tests.drive_samples import SCENE, TRUTH, increments, informed_settings, position_error
 from tests.report_samples import CAMERA, MOUNT, photo
+from tests.sequence_samples import SCENE, TRUTH, increments, informed_settings, position_error
 
 
 class Misled(MeasurementModel):

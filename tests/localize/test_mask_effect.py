@@ -25,15 +25,15 @@ from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.observation import Observer
 from pipelines.localize.run import FrameRecord, load_run
 from tests.chain_samples import succeed
-from tests.drive_samples import (
+from tests.report_samples import CAMERA, MOUNT, facing_wall, photo, smooth
+from tests.sequence_samples import (
     SCENE,
     TRUTH,
-    drive,
     heading_error,
     informed_settings,
+    localize_sequence,
     position_error,
 )
-from tests.report_samples import CAMERA, MOUNT, facing_wall, photo, smooth
 
 # The lower third shows the robot's own bumper.
 BUMPER_TOP = 24
@@ -216,14 +216,14 @@ BOARD = photo(facing_wall(1.2, 1.6, -0.3))[:, :16]
 
 
 def driven(mask: BoolArray | None, seed: int, likelihood: str) -> list[FrameRecord]:
-    """The records of a drive with the board in every image."""
+    """The records of a sequence with the board in every image."""
     images = [photo(state) for state in TRUTH]
     for image in images:
         image[:, :16] = BOARD
     rng = np.random.default_rng(seed)
     chosen = informed_settings(likelihood=likelihood_named(likelihood))
     robot = Localizer(SCENE, CAMERA, MOUNT, chosen, rng, mask=mask)
-    return drive(robot, images=images)
+    return localize_sequence(robot, images=images)
 
 
 @pytest.mark.parametrize("seed", range(2))
