@@ -69,7 +69,7 @@ def beside(record: FrameRecord, answer: PnpAnswer, *, noted: bool) -> FrameRecor
     """A frame of the filter with the time that the pose by features took.
 
     Args:
-        record: of the filter.
+        record: what the filter made of the frame.
         answer: the pose by features.
         noted: whether the pose becomes one of the frame's estimates.
     """
