@@ -43,7 +43,7 @@ from pipelines.lightfield.depth_maps import depth_from_photos  # noqa: E402
 from pipelines.lightfield.scene import Scene  # noqa: E402
 from pipelines.lightfield.scene_file import load_scene  # noqa: E402
 from pipelines.lightfield.stereo_depth import DepthSettings  # noqa: E402
-from pipelines.localize.alignment import refine  # noqa: E402
+from pipelines.localize import alignment  # noqa: E402
 from pipelines.localize.likelihood import LIKELIHOODS  # noqa: E402
 from pipelines.localize.measurement_model import MeasurementModel  # noqa: E402
 from pipelines.localize.observation import Observation, Observer  # noqa: E402
@@ -54,6 +54,9 @@ from pipelines.render.blending import Blending  # noqa: E402
 from pipelines.render.devices import Device  # noqa: E402
 from pipelines.render.renderer import Renderer  # noqa: E402
 from pipelines.render.surface import Quality  # noqa: E402
+
+# What this function was called in older revisions.
+align_state = vars(alignment).get("align") or vars(alignment)["refine"]
 
 # The camera image, and where particles stand around it: metres and radians.
 FRAME, SPREAD, PARTICLES = 8, (0.1, 0.1, 0.05), 195
@@ -153,7 +156,7 @@ class Side:
             images: list[Observation] = list(self._images.values())
             # A few centimetres and a degree aside.
             start = PLANAR.moved(self._truth, np.array([0.03, -0.03, 0.02]))
-            return refine(renderer, PLANAR, start, self._mount, images)
+            return align_state(renderer, PLANAR, start, self._mount, images)
 
         return align
 

@@ -5,7 +5,7 @@ virtual image, blended with a weight for each pixel, and compared with a camera 
 squared colour differences. All run on one thread, in turns. The limit is what the reads and
 multiplications alone take.
 
-The filter weighs particles by one pixel in five of a lattice (``localize.observation``), and so
+The filter weighs particles by one pixel in five (``localize.observation``), and so
 does the fused path here. Beside it stand the same with all pixels, as all others do it, and OpenCV
 with a quarter of the pixels: every other column and row, the nearest to a fifth that a homography
 gives.
@@ -50,7 +50,7 @@ def fused(blending: Blending, views: int = 3, one_in: int = ONE_PIXEL_IN) -> str
 
 def fused_costs(renderer: Renderer, work: Work, one_in: int = 1) -> FloatArray:
     """The work done by the path that the filter uses, for one in so many pixels."""
-    image = Observation(work.query.astype(np.float32), work.intrinsics).thinned(one_in)
+    image = Observation(work.query.astype(np.float32), work.intrinsics).subsampled(one_in)
     return renderer.costs(work.poses, work.intrinsics, image, Cost.SQUARED, False)
 
 

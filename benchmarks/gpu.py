@@ -23,9 +23,9 @@ from pipelines.lightfield.views import views_of_scene
 from pipelines.render.blending import Blending, unstructured_weights
 from pipelines.render.comparison import Cost
 from pipelines.render.devices import Device, chosen_gpu
-from pipelines.render.reference import view_mappings
 from pipelines.render.renderer import Renderer
 from pipelines.render.surface import Quality
+from pipelines.render.view_mapping import ViewMapping
 
 if TYPE_CHECKING:
     from pipelines.render.gpu_device import Gpu
@@ -128,10 +128,8 @@ def reads_per_particle(renderer: Renderer, work: Work) -> float:
     usable = renderer.plane.signed_distance(renderer.views.centres) > 0.0
     for pose in work.poses[:COUNTED_POSES]:
         surface = plane_inverse_depth(renderer.plane, pose, work.intrinsics)
-        maps, shifts = view_mappings(renderer.views, pose, work.intrinsics)
-        found = unstructured_weights(
-            renderer.views, usable, maps, shifts, surface, pose, work.intrinsics
-        )
+        mapping = ViewMapping.of(renderer.views, pose, work.intrinsics)
+        found = unstructured_weights(renderer.views, usable, mapping, surface)
         count += int(np.count_nonzero(found.weights > 0.0))
     return 4.0 * count / min(COUNTED_POSES, len(work.poses))
 

@@ -1,4 +1,4 @@
-"""The C++ core (``native/``): what is done for every pixel of every particle.
+"""The C++ core (``native/``): what is computed for every pixel of every particle.
 
 Functions release the interpreter lock, change none of their arguments, and check them: an array of
 another type, shape or order of elements than described is a ``TypeError`` or ``ValueError`` whose
@@ -21,7 +21,7 @@ from pipelines.artifacts.arrays import (
 )
 
 def instruction_set() -> str:
-    """Name of the processor's level, of those that the core is compiled for.
+    """Name of the instruction set in use, of those that the core is compiled for.
 
     ``x86-64-v3`` or ``x86-64-v4``, or ``baseline`` for what every processor can do.
     """
@@ -42,8 +42,8 @@ def fitted_brightness(
         view: (H, W, 4) rendered, and 1 where covered.
         target: (H, W, 4) camera image, and 1 where it is to be compared.
         stride: only every so many-th pixel of every so many-th row is used.
-        cutoff: errors beyond so many standard deviations count as something else.
-        smallest_scale: of the errors, grey levels; their standard deviation is at least this.
+        cutoff: errors beyond so many standard deviations are outliers.
+        smallest_scale: least standard deviation of the errors, grey levels.
         largest_gain: the gain stays between this and its inverse.
 
     Returns:
@@ -60,7 +60,7 @@ def robust_error(
         target: (H, W, 4) camera image, and 1 where it is to be compared.
         gain: factor on the rendered view.
         offset: added to it, grey levels.
-        limit: error beyond which a pixel counts as something else, grey levels.
+        limit: error beyond which a pixel is an outlier, grey levels.
     """
 
 def normal_equations(
@@ -92,14 +92,14 @@ def normal_equations(
         target: (H, W, 4) camera image, and 1 where it is to be compared.
         gain: factor on the rendered view.
         offset: added to it, grey levels.
-        limit: error beyond which a pixel counts as something else, grey levels.
+        limit: error beyond which a pixel is an outlier, grey levels.
         flat: a pixel whose neighbours differ by less than so many grey levels does not count.
         intrinsics: (4,) fx, fy, cx, cy.
         rotation: (3, 3) of world_from_camera.
         lever: (3,) from the body's origin to the camera's centre, world axes.
         axes: (D, 3) world axis of each unknown, at most six.
         is_rotation: (D,) whether the unknown is a rotation about its axis, or a shift along it.
-        tiles_across: the image's gradients are kept apart for so many times so many tiles.
+        tiles_across: gradients are summed over each of so many by so many tiles of the image.
 
     Returns:
         The Hessian (D + 2, D + 2), whose last two unknowns are gain and offset, and the gradient of
@@ -117,17 +117,18 @@ def image_cost(
     table: Float32Array,
     evidence_bin: float,
 ) -> float:
-    """What a rendered view costs; see ``comparison.compare``.
+    """The cost of a rendered view (``comparison.compare``).
 
     Args:
         view: (H, W, 4) rendered, and 1 where covered.
-        query: (H, W, 4) camera image, and 1 where it is to be compared.
+        query: (H, W, 4) camera image; its fourth number is 0 where it is not to be compared, else
+            1, or for EVIDENCE 1 plus the pixel's row of the table.
         cost: a ``Cost``.
         fit_gain: whether a brightness factor is fitted.
         limits: (3,) of absolute differences, of differences of gradients, of the gain.
-        uncovered: (4,) what an uncovered pixel costs, of the first four kinds of cost.
-        table: (R, D) of evidence alone: a row of zeros, then the table's.
-        evidence_bin: levels a bin of the table.
+        uncovered: (4,) cost of an uncovered pixel, for each cost but EVIDENCE.
+        table: (rows, bins) for EVIDENCE, its first row zeros; for other costs (0, bins).
+        evidence_bin: width of a bin of the table, grey levels.
     """
 
 def delaunay_triangles(points: FloatArray, smallest_area: float) -> Int32Array:
@@ -135,12 +136,13 @@ def delaunay_triangles(points: FloatArray, smallest_area: float) -> Int32Array:
 
     Args:
         points: (N, 2).
-        smallest_area: a triangle flatter than this share of the square of its longest side counts
-            as a line.
+        smallest_area: a triangle whose area is less than this share of the square of its longest
+            side counts as a line.
 
     Returns:
-        (t, 3) corners of the triangles, counter-clockwise where y points up; and for each edge of
-        the hull, which is on its right, two corners and -1. Empty where all points lie on a line.
+        (t, 3) vertices of the triangles, counter-clockwise where y points up; and for each edge of
+        the hull, with the outside on its right, two vertices and -1. Empty where all points lie on
+        a line.
     """
 
 def delaunay_meshes(
@@ -153,21 +155,21 @@ def delaunay_meshes(
     takes_part: BoolArray,
     limits: FloatArray,
 ) -> tuple[Int32Array, Float32Array, Int32Array, int]:
-    """Delaunay meshes of recording centres in virtual images; see ``delaunay_mesh``.
+    """Delaunay meshes of recording centres in virtual images (``render.delaunay_mesh``).
 
     Args:
         poses: (B, 4, 4) world_from_camera.
         intrinsics: (4,) fx, fy, cx, cy.
-        width: of the images, and
-        height: of them.
-        centres: (N, 3).
+        width: width of the images, pixels.
+        height: height of the images, pixels.
+        centres: (N, 3) recording centres.
         takes_part: (B, N) which of them are in each mesh.
         limits: (4,) ``MESH_LIMITS``.
 
     Returns:
-        Photos (B, R, 3) of up to R regions of each image, -1: none; their weights (B, R, 3, 4),
-        coefficients of x, y, 1 and x y from the image's middle; each pixel's region (B, H, W), -1
-        where there is no mesh; and the number of regions of the mesh that has most.
+        Photos (B, R, 3) of up to R regions of each image, -1: none; their weights (B, R, 3, 4), as
+        coefficients of x, y, 1 and x y from the image's middle; the region of each pixel
+        (B, H, W), -1 where there is no mesh; and the number of regions of the mesh that has most.
     """
 
 def plane_sweep(
@@ -178,15 +180,15 @@ def plane_sweep(
     best: int,
     saturation: float,
 ) -> ImageArray:
-    """How much photos disagree that a pixel shows a surface at each of many depths.
+    """The cost volume of a plane sweep: how much photos disagree at each of many depths.
 
     Windows of 3 x 3 pixels, less the grey of their centres, are compared.
 
     Args:
         reference: (H, W) grey.
         photos: V of (h, w), grey, of any sizes.
-        maps: (V, 3, 4): the reference's pixel (x, y) at inverse depth q lies at the photo's
-            homogeneous pixel M (x, y, 1, q).
+        maps: (V, 3, 4) transfers M: the reference's pixel (x, y) at inverse depth q lies at the
+            photo's homogeneous pixel M (x, y, 1, q).
         inverse_depths: (D,) of the planes, 1 / metres.
         best: a pixel's cost is the mean of so many of its lowest ones.
         saturation: grey levels; larger differences all cost the same.
@@ -209,8 +211,8 @@ def semi_global_matching(
     Args:
         volume: (H, W, D) costs of D planes.
         reference: (H, W) grey.
-        step_penalty: what it costs that neighbouring pixels lie one plane apart, and
-        jump_penalty: what further apart costs; both at most a million.
+        step_penalty: cost of neighbouring pixels that lie one plane apart, at most a million.
+        jump_penalty: cost of neighbouring pixels that lie further apart, at most a million.
         edge_contrast: grey levels between neighbours at which a jump costs half.
         least_jump: a jump costs at least this.
 
@@ -231,13 +233,13 @@ def fuse_depth(
     """The depth at each pixel that most neighbours see and fewest see through.
 
     Args:
-        inverse_depth: (H, W) of the view; 0, as in all maps, is none.
+        inverse_depth: (H, W) of the view; 0, as in all maps: unknown.
         others: V of (h, w): inverse depths that neighbours found.
-        confident: V of (h, w): where they are sure.
-        to_view: (V, 3, 4): a neighbour's pixel (x, y) at inverse depth q lies at the view's
-            homogeneous pixel M (x, y, 1, q), and
-        from_view: (V, 3, 4) the other way.
-        unsure_trust: what a neighbour's depth counts where it is not sure; else 1.
+        confident: V of (h, w): where they are reliable.
+        to_view: (V, 3, 4) transfers M: a neighbour's pixel (x, y) at inverse depth q lies at the
+            view's homogeneous pixel M (x, y, 1, q).
+        from_view: (V, 3, 4) transfers from the view's pixels to the neighbours'.
+        unsure_trust: weight of a neighbour's depth where it is not reliable; else 1.
         agreement: share of the inverse depth within which depths are of the same surface.
 
     Returns:
@@ -256,12 +258,12 @@ def log_mixture_density(
     """Logarithm of a sum of isotropic normal distributions, but for their common factor.
 
     Args:
-        positions: (M, P) where, metres.
+        positions: (M, P) positions, metres.
         centres: (N, P) of the distributions.
         angles: (M, N) between the orientations of both, radians.
         log_weights: (N,) of the distributions; -inf is a weight of 0.
-        position_sigma: metres.
-        angle_sigma: radians.
+        position_sigma: standard deviation along each axis, metres.
+        angle_sigma: standard deviation of the angle, radians.
 
     Returns:
         (M,); -inf where all weights are 0.
@@ -270,37 +272,40 @@ def log_mixture_density(
 class LightField:
     """A light field, rendered over a plane or depth maps.
 
-    Keeps its arrays, which are checked once; what is in them must not be changed.
+    Keeps its arrays, which are checked once; their content must not be changed. The arrays of the
+    photos are described in ``lightfield.views.ViewArrays``, those of the index of the usable photos
+    in ``render.candidate_views.ViewIndex``, the limits of surface and blending in
+    ``render.surface`` and ``render.blending``.
 
     Args:
-        texels: (T, 4) of the photos' pyramids, see ``ViewArrays``, as all up to depth_size.
-        level_start: (N, L).
-        level_size: (N, L, 2).
-        projection: (N, 3, 4).
-        rays: (N, 3, 3).
-        centres: (N, 3).
-        focal: (N,).
-        inverse_depth: (D,).
-        depth_start: (N,).
-        depth_size: (N, 2).
-        pooled_depth: (B,) the largest inverse depths in squares, see ``ViewArrays.blocks``.
-        pooled_start: (N,) where each photo's begin.
-        usable: (N,) which photos may take part.
-        origin: (3,) of the index of these, see ``ViewIndex``, as all up to groups.
-        order: (S,).
-        numbers: (18 S,).
-        members: (16 G,).
-        blocks: (18 * 16 G,).
-        groups: (20 G,).
+        texels: (T, 4) RGB and 255 of all photos' pyramids.
+        level_start: (N, L) first texel of each level.
+        level_size: (N, L, 2) width and height of each level.
+        projection: (N, 3, 4) world points to homogeneous pixels.
+        rays: (N, 3, 3) homogeneous pixels to world directions.
+        centres: (N, 3) recording centres.
+        focal: (N,) mean focal lengths, pixels.
+        inverse_depth: (D,) all depth maps.
+        depth_start: (N,) first value of each depth map.
+        depth_size: (N, 2) width and height of each depth map.
+        pooled_depth: (B,) max-pooled depth maps.
+        pooled_start: (N,) first value of each pooled depth map.
+        usable: (N,) photos that may take part.
+        origin: (3,) local origin of the index.
+        order: (S,) photos of the index.
+        numbers: (18 S,) projection, centre and size of each.
+        members: (16 G,) positions in ``order`` of each group's photos.
+        blocks: (18 * 16 G,) ``numbers``, group by group.
+        groups: (20 G,) sphere and frustum of each group.
         plane: (4,) unit normal and offset.
         depth_settings: (5,) pinhole factor, pinhole neighbours, edge factor, largest gap as a share
-            of the image, see ``surface``; occlusion factor.
+            of the grid, occlusion factor.
         penalties: (4,) of resolution and border, the smallest margin, the smallest penalty.
-        most_ranked: more photos than these are narrowed down before they are ranked.
-        smallest_weight: below this sum of weights a pixel is not shown.
-        has_mesh: whether views are blended by the Delaunay mesh of their centres; else as an
+        most_ranked: of more photos than these candidates are selected before they are ranked.
+        smallest_weight: below this sum of weights the blended photos do not show a pixel.
+        has_mesh: whether photos are blended by the Delaunay mesh of their centres; else as an
             unstructured lumigraph.
-        mesh: (4,) limits, see ``delaunay_meshes``.
+        mesh: (4,) ``MESH_LIMITS``.
     """
 
     def __init__(
@@ -340,12 +345,12 @@ class LightField:
 
         Args:
             poses: (B, 4, 4) world_from_camera.
-            usual_inverse_depth: what is near, 1 / metres.
-            turn_cost: how many of the usual depths a rotation by a radian costs.
-            most: photos at most.
+            usual_inverse_depth: median of all depth maps' known values, 1 / metres.
+            turn_cost: cost of a rotation by a radian, in median depths.
+            most: the most photos.
 
         Returns:
-            (B, most) photos, -1 behind the last.
+            (B, most) photos, -1 after the last.
         """
 
     def views(
@@ -371,19 +376,19 @@ class LightField:
         Args:
             poses: (B, 4, 4) world_from_camera.
             intrinsics: (4,) or more: fx, fy, cx, cy.
-            across: columns of the tiles' corners, and
-            down: their rows.
-            probes_across: (4,) columns of the points that narrow many photos down, and
-            probes_down: (4,) their rows.
-            frustum_across: columns of the points one of which a view of a mesh has to see, and
-            frustum_down: their rows.
+            across: columns of the tiles' corners.
+            down: rows of the tiles' corners.
+            probes_across: (4,) columns of the points at which candidate photos are selected.
+            probes_down: (4,) rows of these points.
+            frustum_across: columns of the points one of which each photo of a mesh has to see.
+            frustum_down: rows of these points.
             pixels: (P,) indices in the image, rising.
-            width: of the image, and
-            height: of it.
-            samples: of this light field's depth maps, see ``depth_samples.DepthSamples``; None: the
-                surface is the plane.
-            sources: (B, S) whose depth maps make the surface; -1 behind the last.
-            spacing: of the vertices that approximate it, at least 1 pixel.
+            width: width of the image, pixels.
+            height: height of the image, pixels.
+            samples: of depth maps of this light field, ``render.depth_samples.DepthSamples``; None:
+                the surface is the plane.
+            sources: (B, S) photos whose depth maps make the surface; -1 after the last.
+            spacing: of the depth grid's vertices, at least 1 pixel.
         """
 
 class VirtualViews:
@@ -411,13 +416,14 @@ class VirtualViews:
         """Renders them and compares them with a camera image.
 
         Args:
-            query: (h, w, 4) these P = h w pixels; see ``comparison.compare``.
+            query: (h, w, 4) the same P = h w pixels of a camera image; the fourth number is 0 where
+                it is not to be compared, else 1, or for EVIDENCE 1 plus the row of the table.
             cost: a ``Cost``.
             fit_gain: whether a brightness factor is fitted for each view.
             limits: (3,) of absolute differences, of differences of gradients, of the gain.
-            uncovered: (4,) what an uncovered pixel costs, of the first four kinds of cost.
-            table: (rows, bins) of EVIDENCE; its first row is zeros.
-            evidence_bin: width of a bin, grey levels.
+            uncovered: (4,) cost of an uncovered pixel, for each cost but EVIDENCE.
+            table: (rows, bins) for EVIDENCE, its first row zeros; for other costs (0, bins).
+            evidence_bin: width of a bin of the table, grey levels.
 
         Returns:
             (B,) costs.

@@ -30,11 +30,11 @@ settings.load_profile("lfnav")
 
 @pytest.fixture(scope="session")
 def gpu() -> "Gpu":
-    """The best graphics card; Mesa's software adapter will do."""
+    """The best GPU; Mesa's software adapter will do."""
     pytest.importorskip("wgpu", reason='no wgpu: pip install "lfnav[gpu]"')
     from pipelines.render.gpu_device import open_gpu
 
-    card = open_gpu(accept_software=True)
-    if card is None:
+    found = open_gpu(accept_software=True)
+    if found is None:
         pytest.skip("no adapter for Vulkan, Metal or DX12: apt-get install mesa-vulkan-drivers")
-    return card
+    return found

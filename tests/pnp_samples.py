@@ -14,8 +14,8 @@ from pipelines.localize.pnp import PnpLocalizer
 from pipelines.localize.state_space import PLANAR, StateSpace
 
 WORKSHOP = Path(__file__).parents[1] / "sample_data" / "workshop"
-DRIVE: Dataset = load_dataset(WORKSHOP / "test")
-# Photos of the map, and frames of the drive that they show.
+SEQUENCE: Dataset = load_dataset(WORKSHOP / "test")
+# Photos of the map, and frames of the sequence that they show.
 MAP_PHOTOS, FRAMES = (20, 24, 28), (6, 10)
 # The wall with the tools; the shelves before it are wrong landmarks.
 WALL = PlaneEstimate(Plane(np.array([0.0, -1.0, 0.0]), 0.0), 0.01, 0.002, "given", 1.0)
@@ -54,13 +54,13 @@ def workshop_finder(
     mask: BoolArray | None = None,
 ) -> PnpLocalizer:
     """Finds poses in the workshop; the camera's mount stands too low by ``height`` metres."""
-    assert DRIVE.camera is not None
-    assert DRIVE.base_from_camera is not None
-    mount = DRIVE.base_from_camera.copy()
+    assert SEQUENCE.camera is not None
+    assert SEQUENCE.base_from_camera is not None
+    mount = SEQUENCE.base_from_camera.copy()
     mount[2, 3] -= height
     return PnpLocalizer(
         scene,
-        DRIVE.camera,
+        SEQUENCE.camera,
         mount,
         space,
         seed=3,

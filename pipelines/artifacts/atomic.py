@@ -79,8 +79,8 @@ def atomic_file(path: Path, overwrite: bool) -> Iterator[Path]:
     When the block raises, it is removed and ``path`` is what it was.
 
     Raises:
-        InputError: see ``check_output``; the disk is full; without ``overwrite``, a file of this
-            name appeared meanwhile.
+        InputError: ``path`` must not be replaced or cannot be written; the disk is full; without
+            ``overwrite``, a file of this name appeared meanwhile.
     """
     check_output(path, overwrite)
     target = _final_place(path)
@@ -114,8 +114,8 @@ def atomic_folder(path: Path, overwrite: bool, marker: str) -> Iterator[Path]:
             is neither empty nor holds such a file is not replaced.
 
     Raises:
-        InputError: see ``check_output``; the disk is full; without ``overwrite``, something of
-            this name appeared meanwhile.
+        InputError: ``path`` must not be replaced or cannot be written; the disk is full; without
+            ``overwrite``, something of this name appeared meanwhile.
     """
     check_output(path, overwrite, marker)
     target = _final_place(path)
@@ -140,12 +140,20 @@ def atomic_folder(path: Path, overwrite: bool, marker: str) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str, overwrite: bool) -> None:
-    """Writes ``text`` as UTF-8, atomically; errors as ``atomic_file``."""
+    """Writes ``text`` as UTF-8, atomically.
+
+    Raises:
+        InputError: ``path`` must not be replaced or cannot be written.
+    """
     write_bytes(path, text.encode("utf-8"), overwrite)
 
 
 def write_bytes(path: Path, data: bytes, overwrite: bool) -> None:
-    """Writes ``data``, atomically; errors as ``atomic_file``."""
+    """Writes ``data``, atomically.
+
+    Raises:
+        InputError: ``path`` must not be replaced or cannot be written.
+    """
     with atomic_file(path, overwrite) as temporary:
         temporary.write_bytes(data)
 

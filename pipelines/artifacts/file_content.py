@@ -37,7 +37,7 @@ def read_text_file(path: Path, limit: int) -> str:
     """The content of a UTF-8 text file of at most ``limit`` bytes.
 
     Raises:
-        InputError: see ``read_file``; not UTF-8.
+        InputError: missing, no regular file, too large, unreadable, or not UTF-8.
     """
     try:
         return read_file(path, limit).decode("utf-8-sig")

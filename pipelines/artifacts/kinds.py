@@ -1,4 +1,4 @@
-"""What a path holds, found out from the content and not from its name."""
+"""The kind of thing that a path holds, by its content and not by its name."""
 
 from pathlib import Path
 from typing import Literal
@@ -13,7 +13,7 @@ Kind = Literal["reconstruction", "scene", "run", "dataset"]
 
 
 def kind_of(path: Path) -> Kind:
-    """What kind of thing a path is.
+    """The kind of thing that a path holds.
 
     Returns:
         ``"reconstruction"`` for a folder with a ``reconstruction.json``, ``"scene"`` or ``"run"``

@@ -1,9 +1,9 @@
 """Work in a process of its own that talks in JSON lines, and how many processors there are.
 
-Some libraries bring a process down when they fail, or cannot be stopped. What they do is done by a
-worker: the parent starts it here and reads events from its stdout; its stdin is open as long as
-the parent lives. Whatever libraries print goes to a log beside, of which the telling line is quoted
-when the worker ends before its time.
+Some libraries crash their process when they fail, or cannot be stopped. A worker runs them: the
+parent starts it here and reads events from its stdout; its stdin is open as long as the parent
+lives. What libraries print goes to a log file, of which the most informative line is quoted when
+the worker crashes.
 """
 
 import ctypes

@@ -1,4 +1,4 @@
-"""Where a result comes from: versions, settings, hashes of the inputs.
+"""Provenance of a result: versions, settings, hashes of the inputs.
 
 No clock and no host name: the same input gives the same bytes.
 """
@@ -22,7 +22,6 @@ LIBRARIES = (
     "opencv-python-headless",
     "opencv-python",
 )
-_BLOCK_BYTES = 1024 * 1024
 
 
 def sha256_of_bytes(data: bytes) -> str:
@@ -36,14 +35,11 @@ def sha256_of_file(path: Path) -> str:
     Raises:
         InputError: the file cannot be read.
     """
-    digest = hashlib.sha256()
     try:
         with path.open("rb") as file:
-            while block := file.read(_BLOCK_BYTES):
-                digest.update(block)
+            return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise InputError(path, f"cannot be read ({error.strerror or error})") from error
-    return digest.hexdigest()
 
 
 def version_of(distribution: str) -> str | None:

@@ -356,7 +356,7 @@ def create_hdf5(path: Path, overwrite: bool) -> Iterator[h5py.File]:
 
 
 def write_schema(file: h5py.Group, format_name: str, version: int) -> None:
-    """Says what kind of file this is; see ``check_schema``."""
+    """Stores the format and the schema version, which ``check_schema`` checks."""
     write_attribute(file, "format", format_name)
     write_attribute(file, "schema_version", version)
 
@@ -414,13 +414,13 @@ def write_json(group: h5py.Group, name: str, value: Any) -> None:
 
 def _chunk_shape(shape: tuple[int, ...], item_bytes: int) -> tuple[int, ...]:
     """Chunks of whole rows, up to about a megabyte."""
-    room = _WRITTEN_CHUNK_BYTES // item_bytes
+    left = _WRITTEN_CHUNK_BYTES // item_bytes
     chunk = []
     for length in reversed(shape):
-        parts = -(-length // max(1, min(length, room)))
+        parts = -(-length // max(1, min(length, left)))
         # Equal parts: a chunk takes its whole size in the file even where it sticks out.
         chunk.append(-(-length // parts))
-        room //= chunk[-1]
+        left //= chunk[-1]
     return tuple(reversed(chunk))
 
 

@@ -1,4 +1,4 @@
-"""What a stage tells whoever runs it: how far it is while it works, and then what came out."""
+"""What a stage reports to its caller: progress while it works, and then its outcome."""
 
 from collections.abc import Iterable, Iterator
 from typing import Any, Protocol, TypeVar
@@ -29,5 +29,5 @@ class Summary(Protocol):
         ...
 
     def to_dict(self) -> dict[str, Any]:
-        """The same for programs: plain JSON types, SI units unless the key says otherwise."""
+        """Plain JSON types, for programs; SI units unless the key says otherwise."""
         ...

@@ -1,7 +1,6 @@
 """``camera.toml``: camera model, mount on the robot, scale of the depth images."""
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,10 +8,10 @@ from typing import Any
 
 from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.artifacts.toml_file import read_toml
 from pipelines.geometry.camera import CAMERA_MODELS, Camera
 from pipelines.geometry.pose import base_from_camera_mount, mount_of
 
-MAX_CAMERA_FILE_BYTES = 1024**2
 _REQUIRED_KEYS = ("model", "width", "height", "params")
 _OPTIONAL_KEYS = ("depth_scale", "mount")
 _MOUNT_KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -40,14 +39,7 @@ def read_camera_file(path: Path) -> CameraFile:
         InputError: unreadable, not TOML, a key missing, unknown or of the wrong type, an unknown
             model, or numbers that no camera has.
     """
-    try:
-        if path.stat().st_size > MAX_CAMERA_FILE_BYTES:
-            raise InputError(path, f"is larger than {MAX_CAMERA_FILE_BYTES} bytes")
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(path, f"cannot be read ({error.strerror or error})") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
-        raise InputError(path, f"is not TOML ({error})") from error
+    table = read_toml(path)
     _check_keys(path, table, _REQUIRED_KEYS, _OPTIONAL_KEYS, "")
     depth_scale = _number(path, table, "depth_scale") if "depth_scale" in table else None
     if depth_scale is not None and depth_scale <= 0.0:

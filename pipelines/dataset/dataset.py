@@ -18,7 +18,7 @@ import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.artifacts.errors import InputError
-from pipelines.artifacts.file_content import is_file
+from pipelines.artifacts.file_content import is_file, read_text_file
 from pipelines.dataset.camera_file import CameraFile, read_camera_file
 from pipelines.dataset.images import (
     IMAGE_SUFFIXES,
@@ -81,7 +81,11 @@ class Dataset:
         return self.root / self.image_names[index]
 
     def read_image_bytes(self, index: int) -> bytes:
-        """The content of an image's file, as recorded; see ``images.read_image_bytes``."""
+        """The content of an image's file, as recorded.
+
+        Raises:
+            InputError: not a file, unreadable, empty, or too large.
+        """
         return read_image_bytes(self.image_path(index))
 
     def read_image(self, index: int) -> ImageArray:
@@ -200,12 +204,7 @@ def _check_folder(root: Path) -> None:
 def _read_list(root: Path, list_name: str) -> tuple[FloatArray, tuple[str, ...]]:
     """Reads ``rgb.txt`` or ``depth.txt``: timestamps ``(N,)`` and names of files that exist."""
     path = root / list_name
-    try:
-        if path.stat().st_size > MAX_LIST_BYTES:
-            raise InputError(path, f"is larger than {MAX_LIST_BYTES} bytes")
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(path, f"cannot be read as text ({error})") from error
+    lines = read_text_file(path, MAX_LIST_BYTES).splitlines()
     entries: dict[str, float] = {}
     last = -math.inf
     for number, line in enumerate(lines, start=1):

@@ -1,4 +1,4 @@
-"""What a data set contains, for ``lfnav info``."""
+"""Summary of a data set, for ``lfnav info``."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -53,21 +53,14 @@ class DatasetDescription:
         return rows
 
     def to_dict(self) -> dict[str, Any]:
-        """The same for programs: plain JSON types, SI units."""
+        """Plain JSON types, SI units."""
         dataset, camera = self.dataset, self.dataset.camera
         return {
             "kind": "dataset",
             "path": str(dataset.root),
             "images": len(dataset),
             "duration": _duration(dataset) if self.has_times else None,
-            "camera": None
-            if camera is None
-            else {
-                "model": camera.model,
-                "width": camera.width,
-                "height": camera.height,
-                "params": list(camera.params),
-            },
+            "camera": None if camera is None else camera.to_dict(),
             "base_from_camera": None
             if dataset.base_from_camera is None
             else dataset.base_from_camera.tolist(),
@@ -82,7 +75,7 @@ def describe_dataset(path: Path) -> DatasetDescription:
     """Reads a data set (of images the headers, not the pixels) and describes it.
 
     Raises:
-        InputError: see ``load_dataset``.
+        InputError: something is missing, damaged or contradictory.
     """
     return DatasetDescription(load_dataset(path), (path / IMAGE_LIST).is_file())
 

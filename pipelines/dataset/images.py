@@ -73,7 +73,11 @@ def image_header(data: bytes, name: Path | str) -> ImageHeader:
 
 
 def read_image_header(path: Path) -> ImageHeader:
-    """The header of an image file, of which only the beginning is read; see ``image_header``."""
+    """The header of an image file, of which only the beginning is read.
+
+    Raises:
+        InputError: unreadable, neither JPEG nor PNG, damaged, or more than ``MAX_PIXELS``.
+    """
     _check_file(path)
     try:
         with path.open("rb") as file, _opened(file, path) as image:
@@ -96,7 +100,7 @@ def decode_image(data: bytes, name: Path | str) -> ImageArray:
         ``(H, W, 3)`` RGB.
 
     Raises:
-        InputError: see ``image_header``; truncated or damaged.
+        InputError: neither JPEG nor PNG, more than ``MAX_PIXELS``, truncated or damaged.
     """
     image = _decoded(data, name)
     if image.mode in _GREY_16_BIT:
@@ -120,7 +124,7 @@ def decode_depth(data: bytes, name: Path | str) -> NDArray[np.uint16]:
         ``(H, W)``, 0 where the depth is unknown; divided by the data set's scale it is metres.
 
     Raises:
-        InputError: see ``decode_image``; not 16-bit grey.
+        InputError: no image, more than ``MAX_PIXELS``, damaged, or not 16-bit grey.
     """
     image = _decoded(data, name)
     if image.mode not in _GREY_16_BIT:
@@ -139,7 +143,8 @@ def decode_grey(data: bytes, name: Path | str) -> ImageArray:
         ``(H, W)``.
 
     Raises:
-        InputError: see ``decode_image``; colours, a palette, transparency or another depth.
+        InputError: no image, more than ``MAX_PIXELS``, damaged, or with colours, a palette,
+            transparency or another depth.
     """
     with _opened(io.BytesIO(data), name) as image:
         kind = "RGBA" if "transparency" in image.info else str(image.mode)

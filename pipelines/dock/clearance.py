@@ -12,7 +12,7 @@ import scipy
 from pipelines.artifacts.arrays import FloatArray
 from pipelines.geometry.camera import Undistorter
 from pipelines.geometry.plane import Plane
-from pipelines.lightfield.obstacle_points import standing_points
+from pipelines.lightfield.obstacle_points import obstacle_points
 from pipelines.lightfield.scene import Scene
 
 # A plane whose normal rises less than this is a wall.
@@ -42,7 +42,7 @@ class Clearance:
         self._plane = scene.plane
         self._scene = scene
         self._height = camera_height
-        points = standing_points(scene, camera_height + TOP_ABOVE_CAMERA)
+        points = obstacle_points(scene, camera_height + TOP_ABOVE_CAMERA)
         self._points = None if points is None else _SurfacePoints(scipy.spatial.cKDTree(points))
 
     @property

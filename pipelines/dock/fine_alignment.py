@@ -23,11 +23,11 @@ from pipelines.dock.pose_estimate import Fix
 from pipelines.geometry.camera import Camera
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.views import views_of_scene
-from pipelines.localize.alignment import Refined, refine
-from pipelines.localize.localizer import TRACKING_HEADING, TRACKING_POSITION
+from pipelines.localize.alignment import Alignment, align
 from pipelines.localize.observation import Observation, Observer
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import PLANAR
+from pipelines.localize.status import TRACKING_HEADING, TRACKING_POSITION
 from pipelines.render.channels import SCALE, ZERO, Channels, views_in_channels
 from pipelines.render.renderer import Renderer, RenderingWithSurface
 from pipelines.render.surface import Quality, quality_named
@@ -126,7 +126,7 @@ class FineAlignment:
         fitting = [candidate for candidate in found if candidate.fit > 0.0]
         return sorted(fitting, key=lambda candidate: -candidate.fit)
 
-    def _ends(self, starts: Sequence[FloatArray], images: Sequence[Observation]) -> list[Refined]:
+    def _ends(self, starts: Sequence[FloatArray], images: Sequence[Observation]) -> list[Alignment]:
         """Minima of the error near the first of some states, and next to the others."""
         if self._channels is Channels.COLOUR:
             # So small a picture has one minimum.
@@ -137,10 +137,10 @@ class FineAlignment:
         near = [*self._minima(coarse, images[-2]), *starts[1:]]
         return [self._refined(state, images[-2:]) for state in near]
 
-    def _refined(self, start: FloatArray, images: Sequence[Observation]) -> Refined:
-        return refine(self._renderer, PLANAR, start, self._base_from_camera, images)
+    def _refined(self, start: FloatArray, images: Sequence[Observation]) -> Alignment:
+        return align(self._renderer, PLANAR, start, self._base_from_camera, images)
 
-    def _minima(self, coarse: Refined, image: Observation) -> list[FloatArray]:
+    def _minima(self, coarse: Alignment, image: Observation) -> list[FloatArray]:
         """States ``(3,)`` along the flattest direction where the image fits, the best first."""
         direction = self._flattest(coarse, image)
         count = round(SEARCHED / SEARCH_STEP)
@@ -152,7 +152,7 @@ class FineAlignment:
         order = peaks[np.argsort(-values[peaks], kind="stable")]
         return [states[index] for index in order[:MOST_MINIMA]]
 
-    def _flattest(self, coarse: Refined, image: Observation) -> FloatArray:
+    def _flattest(self, coarse: Alignment, image: Observation) -> FloatArray:
         """The direction ``(3,)`` in which the error grows least, a metre long on the floor."""
         pose = PLANAR.poses(coarse.state) @ self._base_from_camera
         view = self._renderer.render_with_surface(pose, image.intrinsics)
@@ -163,7 +163,7 @@ class FineAlignment:
         flattest = directions[:, 0] * scale
         return np.asarray(flattest / max(float(np.hypot(*flattest[:2])), 1e-9))
 
-    def _fit(self, end: Refined, image: Observation) -> float:
+    def _fit(self, end: Alignment, image: Observation) -> float:
         """See ``Candidate.fit``."""
         if self._channels is Channels.COLOUR:
             return 1.0 / max(end.error, 1.0)

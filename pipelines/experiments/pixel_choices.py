@@ -17,7 +17,7 @@ from pipelines.dataset.dataset import CAMERA_FILE, GROUNDTRUTH_FILE, Dataset
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.likelihood import LIKELIHOODS
 from pipelines.localize.measurement_model import VIEW_RESOLUTION_FACTOR
-from pipelines.localize.observation import Observer, lattice
+from pipelines.localize.observation import Observer, subsampling_mask
 from pipelines.localize.state_space import PLANAR
 from pipelines.render.comparison import NO_TABLE, compare, prepared
 from pipelines.render.renderer import Renderer
@@ -37,7 +37,7 @@ def by_lattice(step: int, shift: int) -> Choice:
 
     def choose(grey: FloatArray, turn: int, _rng: np.random.Generator) -> FloatArray:
         rows, columns = grey.shape
-        return lattice((rows, columns), step, shift, -turn).astype(np.float64)
+        return subsampling_mask((rows, columns), step, shift, -turn).astype(np.float64)
 
     return choose
 

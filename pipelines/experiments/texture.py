@@ -13,7 +13,8 @@ from pipelines.geometry.camera import Intrinsics
 from pipelines.lightfield.view_penalties import sees
 from pipelines.lightfield.views import Views
 from pipelines.render.blending import occluded
-from pipelines.render.reference import sample_view, view_mappings
+from pipelines.render.reference import sample_view
+from pipelines.render.view_mapping import ViewMapping
 
 
 class TextureColours(NamedTuple):
@@ -52,13 +53,13 @@ def texture_colours(
         world_from_camera: ``(4, 4)``.
         intrinsics: of the virtual camera.
     """
-    maps, shifts = view_mappings(views, world_from_camera, intrinsics)
+    mapping = ViewMapping.of(views, world_from_camera, intrinsics)
     focal = 0.5 * (intrinsics.fx + intrinsics.fy)
     homogeneous = np.column_stack([pixels, np.ones(len(pixels))])
     colours = np.full((len(views), len(pixels), 3), np.inf, dtype=np.float32)
     seen = np.zeros((len(views), len(pixels)), dtype=bool)
     for view in np.flatnonzero(usable):
-        target = homogeneous @ maps[view].T + inverse_depth[:, None] * shifts[view]
+        target = mapping.into_view(int(view), homogeneous, inverse_depth)
         width, height = views.arrays.level_size[view, 0]
         shown = sees(target, int(width), int(height)) & (inverse_depth > 0.0)
         shown &= ~occluded(views, int(view), target, inverse_depth)

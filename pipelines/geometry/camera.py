@@ -5,8 +5,9 @@ an image covers [-0.5, width - 0.5]. Camera models and the order of their parame
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -40,6 +41,11 @@ class Intrinsics:
     def matrix(self) -> FloatArray:
         """The ``(3, 3)`` calibration matrix: camera coordinates to homogeneous pixels."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def rays(self, columns: FloatArray, rows: FloatArray) -> FloatArray:
+        """Directions ``(..., 3)`` with z = 1, camera coordinates, of pixels ``(...)``."""
+        x, y = (columns - self.cx) / self.fx, (rows - self.cy) / self.fy
+        return np.stack([x, y, np.ones_like(x)], axis=-1)
 
     def vector(self) -> FloatArray:
         """``(4,)``: fx, fy, cx, cy."""
@@ -97,6 +103,15 @@ class Camera:
             if name.startswith("f") and value <= 0.0:
                 raise OptionError(f"focal length {name} = {value:g} is not positive")
 
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON types: what ``camera_from_dict`` reads back."""
+        return {
+            "model": self.model,
+            "width": self.width,
+            "height": self.height,
+            "params": list(self.params),
+        }
+
     def _named(self) -> dict[str, float]:
         return dict(zip(CAMERA_MODELS[self.model], self.params, strict=True))
 
@@ -138,6 +153,21 @@ class Camera:
         return np.column_stack([np.asarray(flat, np.float64)[:, 0], np.ones(len(pixels))])
 
 
+def camera_from_dict(fields: Mapping[str, Any]) -> Camera:
+    """The camera of ``Camera.to_dict``, from a file that is not trusted.
+
+    Raises:
+        KeyError, TypeError, ValueError, OverflowError: fields that are missing or no such values.
+        OptionError: values that no camera has.
+    """
+    return Camera(
+        str(fields["model"]),
+        int(fields["width"]),
+        int(fields["height"]),
+        tuple(float(value) for value in fields["params"]),
+    )
+
+
 def cameras_text(cameras: Sequence[Camera]) -> str:
     """Models and sizes for people, equal ones counted: ``"81 x PINHOLE 384x384"``."""
     counts = Counter(f"{camera.model} {camera.width}x{camera.height}" for camera in cameras)
@@ -148,7 +178,7 @@ class Undistorter:
     """Resamples images of one camera so that they obey a pinhole model.
 
     The pinhole's field of view is the largest rectangle that lies wholly inside the image, so
-    that no pixel of the result has to be made up.
+    that no pixel of the result is extrapolated.
     """
 
     def __init__(self, camera: Camera) -> None:
@@ -204,7 +234,7 @@ class Undistorter:
         )
 
     def nearest(self, values: Float32Array) -> Float32Array:
-        """Like calling it, for an ``(height, width)`` array of which no means may be taken."""
+        """Resamples an ``(height, width)`` array by nearest neighbour, without taking means."""
         if self._maps is None:
             return values
         resampled = cv2.remap(values, *self._maps, cv2.INTER_NEAREST, borderValue=0.0)

@@ -1,4 +1,4 @@
-"""Whether poses can be those of a robot on a floor: it turns about z and stays at one height.
+"""Checks whether poses can be those of a robot on a floor: it turns about z, at one height.
 
 Each pose turns the body's axes into the world's. For a robot on a level floor one direction of the
 body (its own up) always is one direction of the world (up): ``world_up = R_i @ body_up`` for every
@@ -8,7 +8,7 @@ of x, y and heading. What cannot be is that no such pair of directions exists, o
 from z. What the poses show beyond the pair is the wobble, and what the heights show is the climb.
 
 Two levels. A contradiction is what no robot on a floor can show; it is refused. What is suspicious
-may have a harmless cause; it is said. The limits:
+may have a harmless cause; it is reported in a note. The limits:
 
 * Wobble (95 % of the poses lie within): suspicious above 8 degrees, a contradiction above 15. The
   attitude of a wheeled robot with an inertial sensor is noisy by 1 to 3 degrees in roll and pitch.
@@ -35,7 +35,7 @@ from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import InputError
 from pipelines.geometry.pose import pose_from_quaternion, quaternion_of
 
-# Radians, see above: wobble and constant lean that are mentioned, and that are refused.
+# Radians: wobble and constant lean that are noted, and that are refused.
 NOTED_WOBBLE, REFUSED_WOBBLE = math.radians(8.0), math.radians(15.0)
 NOTED_LEAN, REFUSED_LEAN = math.radians(10.0), math.radians(45.0)
 # Metres and share of the path; both have to be exceeded.
@@ -45,9 +45,9 @@ REFUSED_CLIMB, REFUSED_SLOPE = 0.3, 0.1
 SAME_HEIGHT = 0.01
 # Percentile of the wobble that counts, so that one bump is no uneven ground.
 COUNTED_PERCENTILE = 95.0
-# Difference of the singular values by which turns of about 5 degrees tell the axis of turning.
-TELLING_TURNS = 0.004
-# Turned so far about its y axis, radians, a robot would lie on its back; a camera looks elsewhere.
+# Least difference of the singular values: rotations of about 5 degrees determine their axis.
+TELLING_ROTATIONS = 0.004
+# Rotated so far about its y axis, radians, a robot would lie on its back; a camera looks elsewhere.
 NO_PITCH = math.radians(60.0)
 # A robot rarely moves along its own z; a camera that looks ahead nearly always does.
 CAMERA_FORWARD_SHARE, SURE_FORWARD_SHARE = 0.7, 0.9
@@ -73,7 +73,7 @@ class Planarity:
 
     Attributes:
         largest_lean: largest angle of the body's z axis against the world's z axis, radians.
-        constant_lean: angle against z of the best pair of directions, see the module, radians.
+        constant_lean: angle against z of the best pair body_up and world_up, radians.
         wobble: angle from this pair within which 95 % of the poses lie, radians.
         climb: difference between the lowest and the highest pose, metres.
         climb_path: the shortest path between poses that are as low and as high, metres.
@@ -97,7 +97,7 @@ class Planarity:
 
     @property
     def is_suspicious(self) -> bool:
-        """Whether something has to be said."""
+        """Whether a note is due."""
         return self.leans or self.climbs
 
     @property
@@ -182,7 +182,7 @@ class _CameraSigns:
     """What about poses is a camera's (y down, z forward) and no robot's.
 
     Attributes:
-        turns_about_y: see ``TURNS_ABOUT_Y``.
+        turns_about_y: whether it rotates about its y axis.
         is_y_down: its y axis points down in the world.
         ahead: share of the way that goes along its z axis, 0 to 1.
     """
@@ -217,7 +217,9 @@ def _camera_signs(poses: FloatArray) -> _CameraSigns:
     turned = float(_angle(np.einsum("nij,ij->n", rotations, rotations[0]) / 2.0 - 0.5).max())
     body_axis, world_axis, gap = _turning_axis(rotations)
     is_y = abs(body_axis[1]) > _NEAR_AXIS
-    is_axis = gap > TELLING_TURNS and _wobble(rotations, body_axis, world_axis) <= REFUSED_WOBBLE
+    is_axis = (
+        gap > TELLING_ROTATIONS and _wobble(rotations, body_axis, world_axis) <= REFUSED_WOBBLE
+    )
     # A robot pitches about its y axis on a ramp, but it moves along x there.
     is_no_pitch = along_z > along_x or turned > NO_PITCH
     way = float(np.linalg.norm(steps, axis=1).sum())

@@ -84,6 +84,23 @@ def inverse(pose: FloatArray) -> FloatArray:
     return pose_from_rotation(rotation_transposed, translation)
 
 
+def are_rigid(poses: FloatArray, tolerance: float) -> bool:
+    """Whether all matrices ``(..., 4, 4)`` are finite, and rotations with translations.
+
+    Args:
+        poses: the matrices.
+        tolerance: largest deviation of R R^T from the identity.
+    """
+    if not np.all(np.isfinite(poses)):
+        return False
+    rotation = poses[..., :3, :3]
+    return bool(
+        np.allclose(rotation @ np.swapaxes(rotation, -1, -2), np.eye(3), atol=tolerance)
+        and np.all(np.linalg.det(rotation) > 0.0)
+        and np.allclose(poses[..., 3, :], [0.0, 0.0, 0.0, 1.0], atol=1e-9)
+    )
+
+
 def rotation_angle(pose: FloatArray) -> FloatArray:
     """Angle (radians, in [0, pi]) by which transforms ``(..., 4, 4)`` rotate; shape ``(...)``."""
     rotation = scipy.spatial.transform.Rotation.from_matrix(pose[..., :3, :3].reshape(-1, 3, 3))
@@ -161,12 +178,12 @@ def mount_of(base_from_camera: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     A camera that looks straight up or down has no unique roll and yaw; then yaw is 0.
     """
-    turn = scipy.spatial.transform.Rotation.from_matrix(
+    rotation = scipy.spatial.transform.Rotation.from_matrix(
         base_from_camera[:3, :3] @ BASE_FROM_FORWARD_CAMERA.T
     )
     with warnings.catch_warnings():
-        # That they are not unique; SciPy's own switch for it came with 1.17.
+        # SciPy warns that they are not unique; its own switch for that came with 1.17.
         warnings.simplefilter("ignore", UserWarning)
-        roll, pitch, yaw = turn.as_euler("xyz", degrees=True).tolist()
+        roll, pitch, yaw = rotation.as_euler("xyz", degrees=True).tolist()
     # Adding zero turns -0.0 into 0.0.
     return base_from_camera[:3, 3].copy(), np.array([roll, pitch, yaw]) + 0.0

@@ -11,6 +11,7 @@ import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray, IntArray
 from pipelines.artifacts.errors import InputError
+from pipelines.artifacts.file_content import read_text_file
 from pipelines.geometry.pose import inverse, pose_from_quaternion, quaternion_of
 
 # A quaternion written with six decimals is a unit to about 1e-6; this allows for two decimals.
@@ -63,14 +64,7 @@ def read_tum(path: Path) -> Trajectory:
         InputError: unreadable, not eight numbers a line, values that are not finite, quaternions
             that are not of unit length, or time that does not increase; the line is named.
     """
-    try:
-        if path.stat().st_size > MAX_TRAJECTORY_BYTES:
-            raise InputError(path, f"larger than {MAX_TRAJECTORY_BYTES} bytes")
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except FileNotFoundError as error:
-        raise InputError(path, "does not exist") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(path, f"cannot be read as text ({error})") from error
+    lines = read_text_file(path, MAX_TRAJECTORY_BYTES).splitlines()
     rows: list[list[float]] = []
     for number, line in enumerate(lines, start=1):
         content = line.split("#", 1)[0].replace(",", " ").split()

@@ -1,4 +1,4 @@
-"""Depth maps of neighbouring views brought to agree.
+"""Depth-map fusion across neighbouring views.
 
 After Merrell et al. (2007), "Real-time visibility-based fusion of depth maps": the depths that the
 neighbours found are seen from the view; at each pixel the depth is taken that most neighbours see
@@ -17,11 +17,11 @@ from pipelines.artifacts.arrays import FloatArray, IntArray
 from pipelines.artifacts.errors import OptionError
 from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.lightfield.depth_completion import complete_depth
-from pipelines.lightfield.stereo_depth import DepthMap, DepthSettings, pixel_map
+from pipelines.lightfield.stereo_depth import DepthMap, DepthSettings, pixel_transfer
 
-# How often all views are compared: the second time they compare what the first has mended.
+# Rounds of fusion: the second works on the maps that the first has corrected.
 ROUNDS = 2
-# What a neighbour's depth counts where it is not confident itself.
+# Weight of a neighbour's depth where it is not confident itself.
 UNSURE_TRUST = 0.5
 
 
@@ -39,7 +39,7 @@ def refine_depth_maps(
         maps: of the N views, as ``estimate_depth`` found them.
         world_from_camera: ``(N, 4, 4)``.
         neighbours: of each view, as ``choose_neighbours`` found them.
-        settings: how.
+        settings: of the fusion: agreement and supporters.
         workers: threads; their number does not change the result.
         progress: told how far the work is.
 
@@ -88,7 +88,7 @@ def fuse_depth(
         world_from_camera: ``(N, 4, 4)``.
         view: index of the view.
         neighbours: indices of the views to compare it with.
-        settings: how.
+        settings: of the fusion: agreement and supporters.
 
     Returns:
         Depth everywhere; confident where enough neighbours see the same surface.
@@ -98,11 +98,11 @@ def fuse_depth(
     poses = world_from_camera[neighbours]
     pinhole, pose = own.intrinsics, world_from_camera[view]
     to_view = [
-        pixel_map(other.intrinsics, place, pinhole, pose)
+        pixel_transfer(other.intrinsics, place, pinhole, pose)
         for other, place in zip(others, poses, strict=True)
     ]
     from_view = [
-        pixel_map(pinhole, pose, other.intrinsics, place)
+        pixel_transfer(pinhole, pose, other.intrinsics, place)
         for other, place in zip(others, poses, strict=True)
     ]
     fused, votes = native.fuse_depth(

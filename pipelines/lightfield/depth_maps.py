@@ -31,7 +31,7 @@ from pipelines.lightfield.scene import SceneDepth
 from pipelines.lightfield.scene_file import as_stored
 from pipelines.lightfield.stereo_depth import DepthMap, DepthSettings, estimate_depth
 from pipelines.lightfield.stereo_neighbours import choose_neighbours, depth_range
-from pipelines.lightfield.views import shrink
+from pipelines.lightfield.views import shrink, shrunk_size
 from pipelines.reconstruct.reconstruction import Reconstruction
 
 _log = logging.getLogger(__name__)
@@ -55,8 +55,8 @@ def depth_from_photos(
         source: poses, sparse points, hashes of the photos.
         photos: undistorted, ``(h, w, 3)`` RGB.
         intrinsics: of each.
-        plane: where the depth range is unknown otherwise.
-        settings: of the estimation.
+        plane: gives the depth range of views with too few sparse points.
+        settings: of the plane sweep, the matching and the fusion.
         finished: folder for finished views; None keeps nothing.
         progress: told how far the work is.
 
@@ -98,11 +98,9 @@ def depth_from_photos(
 def _plane_depth(
     world_from_camera: FloatArray, intrinsics: Intrinsics, plane: Plane, settings: DepthSettings
 ) -> DepthMap:
-    """Depth of the plane, nowhere confident; where it is not seen, the farthest that it is."""
-    scale = min(1.0, settings.largest_side / max(intrinsics.width, intrinsics.height))
-    pinhole = intrinsics.resized(
-        max(1, round(intrinsics.width * scale)), max(1, round(intrinsics.height * scale))
-    )
+    """The plane's depth, nowhere confident; its farthest depth where the plane is not seen."""
+    size = shrunk_size(intrinsics.width, intrinsics.height, settings.largest_side)
+    pinhole = intrinsics.resized(*size)
     inverse = plane_inverse_depth(plane, world_from_camera, pinhole)
     farthest = inverse[inverse > 0.0].min() if np.any(inverse > 0.0) else 0.1
     everywhere: Float32Array = np.where(inverse > 0.0, inverse, farthest).astype(np.float32)

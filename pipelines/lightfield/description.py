@@ -1,4 +1,4 @@
-"""What a scene model contains, for people and programs."""
+"""Summary of a scene model, for people and programs."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -81,16 +81,16 @@ class SceneSummary:
 
 
 def describe_scene(path: Path) -> SceneSummary:
-    """Reads a scene model.
+    """Reads a scene model and summarizes it.
 
     Raises:
-        InputError: as ``load_scene``.
+        InputError: missing, not a scene, damaged, or of a newer schema.
     """
     return summary_of(path, load_scene(path))
 
 
 def summary_of(path: Path, scene: Scene) -> SceneSummary:
-    """The same where the content of the file is known already.
+    """Summarizes a scene whose file has been read already.
 
     Raises:
         InputError: the file cannot be read.

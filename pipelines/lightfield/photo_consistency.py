@@ -1,4 +1,4 @@
-"""How well photos agree over a plane: pairs of views, mapped onto each other and correlated."""
+"""Photo-consistency over a plane: pairs of views, warped by its homography, and their ZNCC."""
 
 from dataclasses import dataclass
 
@@ -27,18 +27,18 @@ class PairwiseViews:
 
 
 def choose_pairs(world_from_camera: FloatArray) -> tuple[tuple[int, int], ...]:
-    """Pairs that look the same way from places that are neither too close nor too far apart."""
+    """Pairs of views with similar axes and a baseline that is neither too short nor too long."""
     centres, axes = world_from_camera[:, :3, 3], world_from_camera[:, :3, 2]
     gaps = np.linalg.norm(centres[:, None] - centres, axis=-1)
     alike = axes @ axes.T > np.cos(np.radians(30.0))
     candidates = (gaps > 1e-6) & alike
     if not candidates.any():
         return ()
-    usual = float(np.median(gaps[candidates]))
+    typical = float(np.median(gaps[candidates]))
     pairs = []
     for first in range(len(centres)):
-        # Half the usual distance: wide enough to tell planes apart, near enough to look alike.
-        order = np.argsort(np.abs(np.log(np.maximum(gaps[first], 1e-9) / (0.5 * usual))))
+        # Half the typical distance: wide enough to tell planes apart, near enough to look alike.
+        order = np.argsort(np.abs(np.log(np.maximum(gaps[first], 1e-9) / (0.5 * typical))))
         partners = [int(other) for other in order if candidates[first, other]][:2]
         pairs += [(first, other) for other in partners]
     unique = sorted({(min(pair), max(pair)) for pair in pairs})
@@ -73,7 +73,7 @@ def grey_views(
 
 
 def plane_correlation(photos: PairwiseViews, plane: Plane) -> float:
-    """Mean local correlation over all pairs; -1 for a plane that the photos cannot see."""
+    """Mean local ZNCC score over all pairs; -1 for a plane that the photos cannot see."""
     total, weight = 0.0, 0.0
     for first, second in photos.pairs:
         score, pixels = pair_correlation(photos, first, second, plane)
@@ -89,7 +89,7 @@ def plane_correlation(photos: PairwiseViews, plane: Plane) -> float:
 def pair_correlation(
     photos: PairwiseViews, first: int, second: int, plane: Plane
 ) -> tuple[float, float]:
-    """Sum of the local correlations of a pair, and over how many pixels."""
+    """Sum of the local ZNCC scores of a pair, and the number of pixels in the sum."""
     mapping = _homography(photos, first, second, plane)
     image = photos.images[first]
     height, width = image.shape
@@ -111,7 +111,7 @@ def pair_correlation(
 def _local_correlation(
     first: Float32Array, second: Float32Array, valid: BoolArray
 ) -> tuple[float, float]:
-    """Sum over the valid, textured pixels of the correlation of the windows around them."""
+    """Sum over the valid, textured pixels of the ZNCC score of the windows around them."""
     window = (WINDOW, WINDOW)
     mean_first, mean_second = cv2.blur(first, window), cv2.blur(second, window)
     variance_first = cv2.blur(first * first, window) - mean_first**2

@@ -1,8 +1,8 @@
-"""The scene's dominant plane, from sparse points or from the photos alone, and how sure it is.
+"""The scene's dominant plane, from sparse points or from the photos alone, and its uncertainty.
 
 From points: RANSAC with a truncated quadratic score (MSAC, Torr and Zisserman 2000), then least
 squares on the inliers. From photos: plane-induced homographies between pairs of views; the plane is
-the one under which the pairs agree best in local zero-mean normalised cross-correlation.
+the one under which the pairs agree best in local ZNCC (zero-mean normalised cross-correlation).
 """
 
 from dataclasses import dataclass
@@ -99,9 +99,9 @@ def fit_plane(points: FloatArray) -> Plane:
 
 
 def _least_squares_sigmas(
-    points: FloatArray, plane: Plane, place: FloatArray
+    points: FloatArray, plane: Plane, reference: FloatArray
 ) -> tuple[float, float]:
-    """Standard deviations of the plane's distance from ``place`` and of its direction.
+    """Standard deviations of the plane's distance from a point and of its direction.
 
     Linear regression of the distances from the plane on the position in it, taking the points'
     errors as independent.
@@ -110,7 +110,7 @@ def _least_squares_sigmas(
     variance = float(np.mean(plane.signed_distance(points) ** 2))
     _, spread, axes = np.linalg.svd(points - middle, full_matrices=False)
     slope_variance = variance / np.maximum(spread[:2] ** 2, 1e-24)
-    lever = axes[:2] @ (place - middle)
+    lever = axes[:2] @ (reference - middle)
     offset_variance = variance / len(points) + float(slope_variance @ lever**2)
     return float(np.sqrt(offset_variance)), float(np.sqrt(slope_variance.sum()))
 
@@ -121,7 +121,7 @@ def plane_from_photos(
     """The plane over which pairs of photos agree best.
 
     A grid over the plane's direction and distance at low resolution, then a simplex search at
-    higher ones; how sure the result is comes from a jackknife over groups of pairs.
+    higher ones; the uncertainty comes from a jackknife over groups of pairs.
 
     Args:
         views: the photos.

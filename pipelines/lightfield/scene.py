@@ -23,7 +23,7 @@ from pipelines.geometry.plane import Plane
 
 @dataclass(frozen=True)
 class PlaneEstimate:
-    """A plane together with how sure it is.
+    """A plane and its uncertainty.
 
     Attributes:
         plane: in world coordinates, normal towards the cameras.
@@ -65,7 +65,7 @@ class Scene:
         cameras: the cameras that took them.
         camera_index: ``(N,)`` index into ``cameras``.
         world_from_camera: ``(N, 4, 4)``.
-        surface: the plane that stands for the scene's surface.
+        surface: the plane that approximates the scene's surface.
         base_from_camera: ``(4, 4)`` mount of the recording robot; None where the map was not made
             by a robot.
         bounds: ``(4,)`` x_min, x_max, y_min, y_max in metres: where on the ground a robot can stand
@@ -142,15 +142,7 @@ def covered_bounds(
         columns, rows = np.meshgrid(
             np.linspace(0, pinhole.width - 1, 9), np.linspace(0, pinhole.height - 1, 7)
         )
-        rays = np.stack(
-            [
-                (columns - pinhole.cx) / pinhole.fx,
-                (rows - pinhole.cy) / pinhole.fy,
-                np.ones_like(rows),
-            ],
-            axis=-1,
-        ).reshape(-1, 3)
-        directions.append(rays @ pose[:3, :3].T)
+        directions.append(pinhole.rays(columns, rows).reshape(-1, 3) @ pose[:3, :3].T)
     rays = np.stack(directions)  # [N, R, 3]
     height = plane.signed_distance(centres)[:, None]
     approach = -(rays @ plane.normal)

@@ -28,8 +28,9 @@ from pipelines.artifacts.safe_hdf5 import (
     write_schema,
 )
 from pipelines.dataset.images import image_header
-from pipelines.geometry.camera import Camera
+from pipelines.geometry.camera import Camera, camera_from_dict
 from pipelines.geometry.plane import Plane, plane_from_coefficients
+from pipelines.geometry.pose import are_rigid
 from pipelines.lightfield.scene import PlaneEstimate, Scene, SceneDepth
 
 FORMAT = "lfnav scene"
@@ -93,7 +94,7 @@ def scene_provenance(path: Path) -> dict[str, Any]:
     """The provenance stored with a scene model.
 
     Raises:
-        InputError: as ``load_scene``.
+        InputError: missing, not a scene, damaged, or of a newer schema.
     """
     with open_hdf5(path) as file:
         check_schema(file, FORMAT, SCHEMA_VERSION)
@@ -147,15 +148,7 @@ def identifier_of(
 def _description(scene: Scene) -> dict[str, Any]:
     return {
         "image_names": list(scene.image_names),
-        "cameras": [
-            {
-                "model": camera.model,
-                "width": camera.width,
-                "height": camera.height,
-                "params": list(camera.params),
-            }
-            for camera in scene.cameras
-        ],
+        "cameras": [camera.to_dict() for camera in scene.cameras],
         "surface": {
             "plane": scene.plane.coefficients().tolist(),
             "offset_sigma": _finite_or_none(scene.surface.offset_sigma),
@@ -184,15 +177,7 @@ def _scene_of(file: SafeFile, description: Any) -> Scene:
             for index in range(count)
         ),
         timestamps=file.read_array("timestamps", dtype_kind="f", shape=(count,)),
-        cameras=tuple(
-            Camera(
-                str(camera["model"]),
-                int(camera["width"]),
-                int(camera["height"]),
-                tuple(float(value) for value in camera["params"]),
-            )
-            for camera in description["cameras"]
-        ),
+        cameras=tuple(map(camera_from_dict, description["cameras"])),
         camera_index=file.read_array("camera_index", dtype_kind="i", shape=(count,)),
         world_from_camera=file.read_array("world_from_camera", dtype_kind="f", shape=(count, 4, 4)),
         surface=PlaneEstimate(
@@ -247,7 +232,7 @@ def _check(path: Path, scene: Scene) -> None:
     if scene.base_from_camera is not None:
         poses.append(scene.base_from_camera[None])
     for pose in poses:
-        if not _are_rigid(pose):
+        if not are_rigid(pose, tolerance=1e-4):
             raise InputError(path, "holds a pose that is no rigid transform")
     low_x, high_x, low_y, high_y = scene.bounds
     if not np.all(np.isfinite(scene.bounds)) or low_x >= high_x or low_y >= high_y:
@@ -267,19 +252,6 @@ def _check(path: Path, scene: Scene) -> None:
     )
     if actual != scene.identifier:
         raise InputError(path, "was changed after it was written", "make it again")
-
-
-def _are_rigid(poses: FloatArray) -> bool:
-    """Whether all of ``(N, 4, 4)`` are rotations (no reflections) with translations."""
-    if not np.all(np.isfinite(poses)):
-        return False
-    rotation = poses[:, :3, :3]
-    product = rotation @ np.swapaxes(rotation, 1, 2)
-    return bool(
-        np.allclose(product, np.eye(3), atol=1e-4)
-        and np.all(np.linalg.det(rotation) > 0.0)
-        and np.allclose(poses[:, 3], [0.0, 0.0, 0.0, 1.0], atol=1e-9)
-    )
 
 
 def _finite_or_none(value: float) -> float | None:

@@ -1,4 +1,4 @@
-"""What a scene model takes on disk and in memory, and which part of it takes how much."""
+"""Size of a scene model on disk and in memory, by its parts."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from typing import Any
 from pipelines.artifacts.errors import InputError
 from pipelines.artifacts.safe_hdf5 import open_hdf5
 from pipelines.lightfield.scene import Scene
-from pipelines.lightfield.views import SMALLEST_LEVEL_SIDE, texels_beyond
+from pipelines.lightfield.views import SMALLEST_LEVEL_SIDE, shrunk_size, texels_beyond
 
 PARTS = ("photos", "depth_maps", "rest")
 # The longer side of views to which ``lfnav localize`` shrinks the photos by default.
@@ -24,8 +24,8 @@ class SizeBudget:
     Attributes:
         views: the number of views.
         file: on disk; depth maps are compressed there, photos are as they were recorded.
-        memory: the same for each of ``RESOLUTIONS``: the scene (photos encoded as in the file)
-            together with the views that a renderer makes of it.
+        memory: in memory for each of ``RESOLUTIONS``: the scene (photos encoded as in the file) and
+            the views that a renderer makes of it.
     """
 
     views: int
@@ -103,26 +103,17 @@ def _memory(scene: Scene, largest_side: int | None) -> dict[str, int]:
     photos, depth, widest = sum(map(len, scene.encoded_images)), 0, 0
     for index in range(len(scene)):
         camera = scene.camera_of(index)
-        size = _shrunk_size(camera.width, camera.height, largest_side)
+        size = shrunk_size(camera.width, camera.height, largest_side)
         photos += TEXEL_BYTES * _pyramid_texels(*size)
         widest = max(widest, size[0])
     photos += TEXEL_BYTES * texels_beyond(widest)
     for of_view in scene.depth:
         depth += of_view.inverse_depth.nbytes + of_view.confident.nbytes
         height, width = of_view.inverse_depth.shape
-        size = _shrunk_size(width, height, largest_side)
+        size = shrunk_size(width, height, largest_side)
         depth += DEPTH_BYTES * size[0] * size[1]
     rest = scene.timestamps.nbytes + scene.camera_index.nbytes + scene.world_from_camera.nbytes
     return {"photos": photos, "depth_maps": depth, "rest": rest}
-
-
-def _shrunk_size(width: int, height: int, largest_side: int | None) -> tuple[int, int]:
-    """Width and height of an image after ``views.shrink``."""
-    longer = max(width, height)
-    if largest_side is None or longer <= largest_side:
-        return width, height
-    scale = largest_side / longer
-    return max(1, round(width * scale)), max(1, round(height * scale))
 
 
 def _pyramid_texels(width: int, height: int) -> int:

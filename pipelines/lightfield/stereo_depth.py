@@ -1,10 +1,10 @@
-"""Depth maps from the photos: which surface each pixel of a view shows.
+"""Stereo depth: the depth map of a view from it and its neighbours.
 
 A plane sweep (Collins 1996): the neighbouring photos are warped as if the scene were a plane at one
 of many inverse depths, and compared with the view in windows of 3 x 3 pixels, less the grey of
-their centres, so that exposure does not matter. Larger windows were worse on every scene tried:
-aggregation along paths brings in the surroundings without blurring the edges. At each pixel the
-best of the neighbours count, since the others may not see the point. Semi-global matching
+their centres, so that exposure does not matter. Larger windows were worse on every scene tried: the
+aggregation along paths takes in the surroundings without blurring edges. At each pixel only the
+best neighbours count, since the others may not see the point. Semi-global matching
 (Hirschmueller 2008) then finds depths that are smooth except across edges of the image. When all
 views are done, ``depth_filtering`` makes them agree.
 """
@@ -30,8 +30,8 @@ from pipelines.lightfield.views import shrink
 from pipelines.native import plane_sweep, semi_global_matching
 
 MEDIAN_SIZE = 5
-# Pixels over which evidence is averaged before it is asked whether there is any.
-EVIDENCE_SIZE = 7
+# Side of the window, in pixels, over which the distinctness of depths is averaged.
+DISTINCTNESS_SIZE = 7
 
 
 @dataclass(frozen=True)
@@ -39,10 +39,10 @@ class DepthSettings:
     """How depth maps are computed.
 
     Attributes:
-        largest_side: photos are shrunk to so many pixels before.
-        planes: inverse depths that are tried.
-        neighbours: photos that a view is compared with, at most.
-        best: of these, how many count at each pixel: those that agree best.
+        largest_side: photos are reduced to this longer side, pixels.
+        planes: number of inverse depths of the sweep.
+        neighbours: the most photos that a view is compared with.
+        best: how many of these count at each pixel: those that agree best.
         saturation: grey levels; larger differences all cost the same.
         step_penalty, jump_penalty: cost of neighbouring pixels that lie one plane apart, or more.
         edge_contrast: grey levels between neighbouring pixels at which a jump costs half.
@@ -85,8 +85,8 @@ class DepthMap:
     Attributes:
         inverse_depth: ``(H, W)`` float32, 1 / metres along the camera's z axis;
             positive everywhere.
-        confident: ``(H, W)``: where the photos single out this depth, and after ``fuse_depth``
-            where neighbouring views found the same.
+        confident: ``(H, W)`` where the photos single out this depth, and after ``fuse_depth`` where
+            neighbouring views found the same.
         intrinsics: of the pinhole image with these pixels.
     """
 
@@ -113,7 +113,7 @@ def estimate_depth(
         view: index of the view.
         neighbours: indices of the views to compare it with.
         limits: nearest and farthest depth, metres.
-        settings: how.
+        settings: of the plane sweep and the matching.
 
     Raises:
         StageError: fewer than two photos, or no neighbour.
@@ -123,14 +123,18 @@ def estimate_depth(
     if len(images) < 2 or len(neighbours) == 0:
         raise StageError(f"view {view} has no neighbouring photo to find depth with")
     reference, pinhole = _grey(images[view], intrinsics[view], settings)
-    photos, maps = [], []
+    photos, transfers = [], []
     for other in neighbours:
         photo, own = _grey(images[other], intrinsics[other], settings)
         photos.append(photo)
-        maps.append(pixel_map(pinhole, world_from_camera[view], own, world_from_camera[other]))
+        transfers.append(
+            pixel_transfer(pinhole, world_from_camera[view], own, world_from_camera[other])
+        )
     levels = np.linspace(1.0 / far, 1.0 / near, settings.planes)
     index, distinct = semi_global_matching(
-        plane_sweep(reference, photos, np.stack(maps), levels, settings.best, settings.saturation),
+        plane_sweep(
+            reference, photos, np.stack(transfers), levels, settings.best, settings.saturation
+        ),
         reference,
         settings.step_penalty,
         settings.jump_penalty,
@@ -138,7 +142,7 @@ def estimate_depth(
         # A jump is never cheaper than two steps.
         2.0 * settings.step_penalty,
     )
-    confident = cv2.blur(distinct, (EVIDENCE_SIZE, EVIDENCE_SIZE)) >= settings.distinctness
+    confident = cv2.blur(distinct, (DISTINCTNESS_SIZE, DISTINCTNESS_SIZE)) >= settings.distinctness
     inverse_depth = np.interp(index, np.arange(settings.planes), levels).astype(np.float32)
     smooth = np.asarray(cv2.medianBlur(inverse_depth, MEDIAN_SIZE), dtype=np.float32)
     return DepthMap(smooth, np.asarray(confident, dtype=np.bool_), pinhole)
@@ -152,16 +156,23 @@ def _grey(
     return np.asarray(cv2.cvtColor(small, cv2.COLOR_RGB2GRAY), dtype=np.uint8), pinhole
 
 
-def pixel_map(
+def pixel_transfer(
     pinhole: Intrinsics,
     world_from_camera: FloatArray,
     other: Intrinsics,
     world_from_other: FloatArray,
 ) -> FloatArray:
-    """From one camera's pixels to another's, by inverse depth.
+    """The transfer of pixels, with their inverse depths, from one camera to another.
+
+    Args:
+        pinhole: intrinsics of the first camera.
+        world_from_camera: ``(4, 4)`` its pose.
+        other: intrinsics of the second camera.
+        world_from_other: ``(4, 4)`` its pose.
 
     Returns:
-        ``(3, 4)``: pixel (x, y) at inverse depth q lies at the homogeneous pixel M (x, y, 1, q).
+        ``(3, 4)`` matrix M: pixel (x, y) at inverse depth q lies at the homogeneous pixel
+        M (x, y, 1, q). Its first three columns are the infinite homography, the last the epipole.
     """
     other_from_camera = inverse(world_from_other) @ world_from_camera
     rays = other_from_camera[:3, :3] @ np.linalg.inv(pinhole.matrix())

@@ -1,4 +1,4 @@
-"""Which photos a depth map is computed from, and between which depths it is searched.
+"""Stereo neighbours: from which photos a depth map is computed, and its range of depths.
 
 Both questions are asked of *samples*: points of the scene that a view sees. They are its sparse
 points where structure from motion found some, else points of the scene's plane.
@@ -22,9 +22,9 @@ GRID_COLUMNS, GRID_ROWS = 12, 9
 # Degrees between two rays to a point: below the first, depth is uncertain; above it, windows look
 # more and more different, with this standard deviation.
 BEST_ANGLE, ANGLE_SPREAD = 5.0, 8.0
-# What a sample counts for that lies in a view's frustum, but that the view did not match.
+# Weight of a sample that lies in a view's frustum, but that the view did not match.
 UNMATCHED_WEIGHT = 0.3
-# What a sample still counts for once a good neighbour is chosen that sees it.
+# Weight of a sample once a good neighbour is chosen that sees it.
 REPEATED_WEIGHT = 0.4
 # Rays that meet the plane farther away than this multiple of the median see something else.
 FARTHEST_MULTIPLE = 3.0
@@ -51,10 +51,10 @@ def choose_neighbours(
     Args:
         world_from_camera: ``(N, 4, 4)``.
         intrinsics: of the N pinhole images.
-        plane: stands in for the scene where a view has no sparse points.
+        plane: used in the scene's place where a view has too few sparse points.
         points: ``(P, 3)`` sparse points, world coordinates; may be empty.
         observations: ``(M, 2)`` rows (point, view).
-        count: neighbours of a view, at most.
+        count: the most neighbours of a view.
 
     Returns:
         For each view the indices of its neighbours, the best first; fewer than ``count``, even
@@ -99,10 +99,10 @@ def depth_range(
     """The depths (metres along z, near and far) between which a view's scene lies.
 
     From the sparse points that the view observes; where it observes too few, from the plane, with
-    more room on both sides.
+    wider margins.
 
     Args:
-        view: the view asked about.
+        view: index of the view.
         world_from_camera: ``(N, 4, 4)``.
         intrinsics: of this view.
         plane: the scene's plane.

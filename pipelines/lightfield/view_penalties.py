@@ -1,4 +1,4 @@
-"""How badly a view shows a point of the scene, and whether it shows it at all.
+"""Penalties of a view for how it shows a point of the scene, and whether it shows it at all.
 
 The penalties of unstructured-lumigraph rendering (Buehler, Bosse, McMillan, Gortler, Cohen 2001):
 for the angle between the view's ray and the virtual one, for a coarser resolution, and for showing
@@ -17,7 +17,7 @@ RESOLUTION_PENALTY = 0.05
 # tiles, and shows held-out photos worse: the next best view is seldom as good.
 BORDER_SHARE = 0.03
 BORDER_PENALTY = 0.03
-# Nearer to the border than this share of the strip counts as this near: penalties stay finite.
+# Smallest distance from the border that counts, as a share of the strip: penalties stay finite.
 SMALLEST_MARGIN = 1e-6
 
 

@@ -1,10 +1,10 @@
-"""Which photos a scene model needs most, where there are more than it shall hold.
+"""View selection: which photos a scene model keeps, where there are more than it shall hold.
 
-A model is asked for rays: here those of the photos themselves, at a coarse grid of their pixels.
-How badly a view answers for a ray is its penalty in unstructured-lumigraph rendering
-(``blending``): for the angle between both rays at the surface, for a coarser resolution, for the
-border of its image. A set of views is as bad for a ray as its best view, and where none sees the
-point, as bad as ``UNSEEN_PENALTY``. The total over all rays is a facility location problem: by how
+The model has to render rays: here those of the photos themselves, at a coarse grid of their pixels.
+How badly a view shows a ray is its penalty in unstructured-lumigraph rendering
+(``view_penalties``): for the angle between both rays at the surface, for a coarser resolution, for
+the border of its image. A set of views has the penalty of its best view, and where none sees the
+point, ``UNSEEN_PENALTY``. The total over all rays is a facility location problem: by how
 much a set lowers it is monotone and submodular, so that adding, one after the other, the view that
 lowers it most reaches at least 1 - 1/e of the best possible (Nemhauser, Wolsey, Fisher 1978, "An
 analysis of approximations for maximizing submodular set functions"). A view's gain never grows when
@@ -39,7 +39,7 @@ class KnownSurface:
     """What is known of the scene's surface.
 
     Attributes:
-        plane: stands in where nothing better is known.
+        plane: used where nothing better is known.
         points: ``(P, 3)`` sparse points, world coordinates; may be empty.
         observations: ``(M, 2)`` rows (point, view).
         depth: a depth map a view; may be empty.
@@ -64,7 +64,7 @@ def select_views(
         world_from_camera: ``(N, 4, 4)``.
         intrinsics: of the N undistorted photos.
         surface: what they show.
-        count: how many views to keep, at most.
+        count: the most views that are kept.
         progress: told how far the work is.
 
     Returns:
@@ -90,8 +90,8 @@ def greedy_cover(benefit: Float32Array, count: int) -> IntArray:
     """Rows whose columnwise maximum has a large sum: lazy greedy facility location.
 
     Args:
-        benefit: ``(N, Q)``, not negative: what row n is worth for column q.
-        count: rows to choose, at most.
+        benefit: ``(N, Q)``, not negative: benefit of row n for column q.
+        count: the most rows that are chosen.
 
     Returns:
         Their indices in the order in which they were chosen; of equally good ones the first.

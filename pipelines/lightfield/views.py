@@ -20,16 +20,16 @@ from pipelines.geometry.pose import inverse
 from pipelines.lightfield.scene import Scene
 
 SMALLEST_LEVEL_SIDE = 8
-# Side of the blocks of which a depth map's nearest values are kept; a power of 2, so that a place
-# among them rounds as one in the map does.
-BLOCK_SIDE = 4
+# Side of the squares over which depth maps are max-pooled; a power of 2, so that a position in the
+# pooled map rounds as one in the map does.
+POOL_SIDE = 4
 
 
 class ViewArrays(NamedTuple):
-    """The numbers of N posed pinhole photos, in the form that the C++ core takes.
+    """N posed pinhole photos as arrays, in the form that the C++ core takes.
 
     Attributes:
-        texels: ``(T, 4)`` uint8, RGB and 255, by which weights are added up along with colours: all
+        texels: ``(T, 4)`` uint8, RGB and 255 (weights are summed in the fourth channel): all
             pyramid levels of all views, row by row, and at least one more row.
         level_start: ``(N, L)`` index of a level's first texel.
         level_size: ``(N, L, 2)`` width and height of each level; level 0 is the finest. Views with
@@ -44,9 +44,9 @@ class ViewArrays(NamedTuple):
             0 where unknown; empty where there are none.
         depth_start: ``(N,)`` index of a view's first value.
         depth_size: ``(N, 2)`` width and height of each view's depth map; 0 where it has none.
-        blocks: ``(B,)`` the largest of each depth map's values in squares of ``BLOCK_SIDE``, row by
-            row; what they do not hide need not be looked up in the maps.
-        block_start: ``(N,)`` index of a view's first block.
+        pooled_depth: ``(B,)`` all depth maps max-pooled over squares of ``POOL_SIDE``, row by row:
+            a point that these do not hide need not be looked up in the maps.
+        pooled_start: ``(N,)`` index of a view's first pooled value.
     """
 
     texels: ImageArray
@@ -60,8 +60,8 @@ class ViewArrays(NamedTuple):
     inverse_depth: Float32Array
     depth_start: IntArray
     depth_size: IntArray
-    blocks: Float32Array
-    block_start: IntArray
+    pooled_depth: Float32Array
+    pooled_start: IntArray
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Views:
     """N posed pinhole photos with their pyramids and, where known, depth maps.
 
     Attributes:
-        arrays: their numbers.
+        arrays: pyramids, poses and depth maps.
         intrinsics: pinhole intrinsics of level 0 of each view.
     """
 
@@ -135,7 +135,7 @@ def build_views(
 
 
 def _packed_pyramids(images: Sequence[ImageArray]) -> tuple[ImageArray, IntArray, IntArray]:
-    """Texels, starts and sizes of all levels of all images; see ``ViewArrays``."""
+    """``texels``, ``level_start`` and ``level_size`` of ``ViewArrays``."""
     pyramids = list(in_threads(_pyramid, images))
     level_count = max(len(pyramid) for pyramid in pyramids)
     level_start = np.zeros((len(pyramids), level_count), dtype=np.int64)
@@ -156,47 +156,52 @@ def _packed_pyramids(images: Sequence[ImageArray]) -> tuple[ImageArray, IntArray
 
 
 def texels_beyond(widest: int) -> int:
-    """Texels behind those of the last image: readers look one to the right and one row down."""
+    """Texels after those of the last image: readers access one to the right and one row below."""
     return widest + 2
 
 
 def _packed_depths(count: int, inverse_depths: Sequence[Float32Array] | None) -> dict[str, Any]:
-    """Values, starts and sizes of all depth maps and their blocks; see ``ViewArrays``."""
+    """The fields of ``ViewArrays`` that hold depth."""
     size = np.zeros((count, 2), dtype=np.int64)
     maps = [np.zeros((0, 0), dtype=np.float32)] * count
-    blocks = maps.copy()
+    pooled = maps.copy()
     for view, depth in enumerate(inverse_depths or ()):
         size[view] = depth.shape[1], depth.shape[0]
-        maps[view], blocks[view] = depth, _largest_in_blocks(depth)
+        maps[view], pooled[view] = depth, _max_pooled(depth)
     return {
-        "inverse_depth": _in_one_row(maps),
+        "inverse_depth": _flattened(maps),
         "depth_start": _starts(maps),
         "depth_size": size,
-        "blocks": _in_one_row(blocks),
-        "block_start": _starts(blocks),
+        "pooled_depth": _flattened(pooled),
+        "pooled_start": _starts(pooled),
     }
 
 
-def _largest_in_blocks(depth: Float32Array) -> Float32Array:
-    """The largest value of each square of ``BLOCK_SIDE`` of a depth map."""
-    height, width = (-(-side // BLOCK_SIDE) for side in depth.shape)
-    margin = [(0, -side % BLOCK_SIDE) for side in depth.shape]
-    squares = np.pad(depth, margin).reshape(height, BLOCK_SIDE, width, BLOCK_SIDE)
+def _max_pooled(depth: Float32Array) -> Float32Array:
+    """The largest value of each square of ``POOL_SIDE`` of a depth map."""
+    height, width = (-(-side // POOL_SIDE) for side in depth.shape)
+    margin = [(0, -side % POOL_SIDE) for side in depth.shape]
+    squares = np.pad(depth, margin).reshape(height, POOL_SIDE, width, POOL_SIDE)
     return np.asarray(squares.max(axis=(1, 3)))
 
 
-def _in_one_row(parts: Sequence[Float32Array]) -> Float32Array:
+def _flattened(parts: Sequence[Float32Array]) -> Float32Array:
     return np.concatenate([part.reshape(-1) for part in parts]).astype(np.float32)
 
 
 def _starts(parts: Sequence[Float32Array]) -> IntArray:
-    """Where each part begins when they stand in one row."""
+    """Index of each part's first value when all are flattened into one row."""
     sizes = np.array([part.size for part in parts], dtype=np.int64)
     return np.asarray(np.cumsum(sizes) - sizes)
 
 
 def with_depth(views: Views, inverse_depths: Sequence[Float32Array]) -> Views:
-    """The same photos with other depth maps, one a view; see ``build_views``."""
+    """The same photos with other depth maps.
+
+    Args:
+        views: the photos.
+        inverse_depths: N depth maps ``(h, w)`` of the same fields of view, of any size; 0: unknown.
+    """
     packed = _packed_depths(len(views), inverse_depths)
     return Views(views.arrays._replace(**packed), views.intrinsics)
 
@@ -210,12 +215,12 @@ def without_view(views: Views, index: int) -> Views:
     """The same light field without one of its views."""
     kept = np.arange(len(views)) != index
     arrays = views.arrays
-    # Texels and depths stay in one piece; nothing points to those of the view any more.
+    # Texels and depths are shared; nothing refers to those of the removed view any more.
     fewer = arrays._replace(
         **{
             name: np.ascontiguousarray(getattr(arrays, name)[kept])
             for name in arrays._fields
-            if name not in ("texels", "inverse_depth", "blocks")
+            if name not in ("texels", "inverse_depth", "pooled_depth")
         }
     )
     return Views(fewer, tuple(k for i, k in enumerate(views.intrinsics) if i != index))
@@ -245,12 +250,11 @@ def views_of_scene(
 
 
 def _shrunk_depth(inverse_depth: Float32Array, largest_side: int | None) -> Float32Array:
-    """A depth map of at most so many pixels; depths are picked, since means lie on no surface."""
+    """A depth map of at most so many pixels a side; no means, since these lie on no surface."""
     height, width = inverse_depth.shape
-    if largest_side is None or max(height, width) <= largest_side:
+    size = shrunk_size(width, height, largest_side)
+    if size == (width, height):
         return inverse_depth
-    scale = largest_side / max(height, width)
-    size = max(1, round(width * scale)), max(1, round(height * scale))
     resized = cv2.resize(inverse_depth, size, interpolation=cv2.INTER_NEAREST)
     return np.asarray(resized, dtype=np.float32)
 
@@ -259,14 +263,19 @@ def shrink(
     image: ImageArray, intrinsics: Intrinsics, largest_side: int | None
 ) -> tuple[ImageArray, Intrinsics]:
     """Area-averages an image until its longer side has at most ``largest_side`` pixels."""
-    longer = max(intrinsics.width, intrinsics.height)
-    if largest_side is None or longer <= largest_side:
+    width, height = shrunk_size(intrinsics.width, intrinsics.height, largest_side)
+    if (width, height) == (intrinsics.width, intrinsics.height):
         return image, intrinsics
+    return area_average(image, width, height), intrinsics.resized(width, height)
+
+
+def shrunk_size(width: int, height: int, largest_side: int | None) -> tuple[int, int]:
+    """Width and height of an image reduced until its longer side has at most so many pixels."""
+    longer = max(width, height)
+    if largest_side is None or longer <= largest_side:
+        return width, height
     scale = largest_side / longer
-    smaller = intrinsics.resized(
-        max(1, round(intrinsics.width * scale)), max(1, round(intrinsics.height * scale))
-    )
-    return area_average(image, smaller.width, smaller.height), smaller
+    return max(1, round(width * scale)), max(1, round(height * scale))
 
 
 def area_average(image: ImageArray, width: int, height: int) -> ImageArray:
@@ -278,12 +287,12 @@ def area_average(image: ImageArray, width: int, height: int) -> ImageArray:
 def pinhole_query(
     image: ImageArray, camera: Camera, undistorter: Undistorter, width: int
 ) -> tuple[ImageArray, Intrinsics]:
-    """A camera image as the comparison wants it: undistorted and area-averaged.
+    """A camera image as the comparison takes it: undistorted and area-averaged.
 
     Args:
         image: ``(height, width, 3)`` RGB as recorded.
         camera: the camera that took it.
-        undistorter: of that camera (its tables are made once, not for every image).
+        undistorter: of that camera.
         width: of the result, pixels; the height keeps the aspect ratio.
 
     Returns:

@@ -3,14 +3,14 @@
 Gauss-Newton on the photometric error, damped after Levenberg and Marquardt, from coarse images to
 fine ones (Baker and Matthews 2004, "Lucas-Kanade 20 years on"; the depth of each pixel comes from
 the light field as in direct visual odometry, Kerl, Sturm, Cremers 2013, "Robust odometry estimation
-for RGB-D cameras"). In every step the view is rendered anew at the present state, so that what is
+for RGB-D cameras"). In every step the view is rendered at the present state, so that what is
 minimised is the true difference; only the derivative takes colours to stay with their surface
-points. Gain and offset of the camera image are estimated along, and pixels that show something else
+points. Gain and offset of the camera image are estimated too, and pixels that show something else
 than the model are weighted down (Tukey's biweight).
 
 The covariance is the sandwich estimate H^-1 B H^-1 with B summed over tiles of the image (clustered
-errors, Liang and Zeger 1986): errors of neighbouring pixels are far from independent, and taking
-them as independent would claim a precision that is not there.
+errors, Liang and Zeger 1986): errors of neighbouring pixels are far from independent, and a
+covariance that takes them as independent is much too small.
 """
 
 import math
@@ -23,21 +23,21 @@ import numpy as np
 from pipelines.artifacts.arrays import BoolArray, Float32Array, FloatArray
 from pipelines.geometry.camera import Intrinsics
 from pipelines.localize.observation import Observation
-from pipelines.localize.state_space import StateSpace
+from pipelines.localize.state_space import StateSpace, magnitudes
 from pipelines.native import fitted_brightness, normal_equations, robust_error
 from pipelines.render.comparison import LARGEST_GAIN, prepared
 from pipelines.render.renderer import RenderingWithSurface
 
-# Beyond so many standard deviations an error is taken for something else (95 % efficiency).
+# Errors beyond so many standard deviations are outliers (95 % efficiency on normal errors).
 TUKEY = 4.685
-# Levels of the channels: rounding leaves about this, in a rendered view and in the image.
+# Least standard deviation of errors, levels of the channels: about what rounding leaves.
 SMALLEST_SCALE = 3.0
 # A pixel whose neighbours differ by less than so many levels says nothing about the pose.
 FLAT = 10.0
 # Fewer comparable pixels than this share of the image say nothing about the pose.
 SMALLEST_SHARE = 0.15
 LARGEST_STEP_METRES, LARGEST_STEP_RADIANS = 0.3, math.radians(8.0)
-# A step that moves the picture by less than this, in pixels, ends a level.
+# A step that moves the image by less than this, in pixels, ends a pyramid level.
 STEP_PIXELS = 0.1
 TILES_ACROSS = 8
 # Gain and offset are told apart while the determinant of their equations is more than this share of
@@ -47,16 +47,21 @@ FIRST_DAMPING, DAMPING_FACTOR, LARGEST_DAMPING = 1e-3, 8.0, 10.0
 
 
 class SurfaceRenderer(Protocol):
-    """Renders views with their surface: ``lightfield.renderer.Renderer``, or one on top of it."""
+    """Renders views with their surface: ``render.renderer.Renderer``, or one on top of it."""
 
     def render_with_surface(
         self, world_from_camera: FloatArray, intrinsics: Intrinsics
     ) -> RenderingWithSurface:
-        """See ``Renderer.render_with_surface``."""
+        """Renders one virtual view together with its surface.
+
+        Args:
+            world_from_camera: ``(4, 4)``.
+            intrinsics: of the virtual camera.
+        """
 
 
 @dataclass(frozen=True)
-class Refined:
+class Alignment:
     """Where an alignment ended.
 
     Attributes:
@@ -83,24 +88,24 @@ class Prior:
     Attributes:
         state: ``(D,)``.
         information: ``(D, D)`` inverse covariance of its error.
-        doubt: factor on the variances that the image's own tiles tell: errors of the model reach
-            farther than a tile.
+        inflation: factor on the covariance that the image's own tiles give: errors of the model
+            reach farther than a tile.
     """
 
     state: FloatArray
     information: FloatArray
-    doubt: float
+    inflation: float
 
 
 @dataclass(frozen=True)
-class _Look:
-    """The view rendered at a state, with the brightness that fits the camera image.
+class _Residuals:
+    """The view rendered at a state, and the brightness that fits it to the camera image.
 
     Attributes:
         view: the rendering.
-        gain: factor on it.
+        gain: factor on the rendering.
         offset: added to it, grey levels.
-        scale: standard deviation of the differences that remain, outliers apart, grey levels.
+        scale: robust standard deviation of the differences that remain, grey levels.
     """
 
     view: RenderingWithSurface
@@ -111,7 +116,7 @@ class _Look:
 
 @dataclass(frozen=True)
 class _Level:
-    """One image size of an alignment, and what does not change on it."""
+    """One pyramid level of an alignment, and what does not change on it."""
 
     renderer: SurfaceRenderer
     space: StateSpace
@@ -121,10 +126,10 @@ class _Level:
 
     @property
     def stride(self) -> int:
-        """Every so many-th pixel of every so many-th row tells as much as all, of brightness."""
+        """Brightness is fitted to every so many-th pixel of every so many-th row."""
         return max(1, self.intrinsics.width // 40)
 
-    def look(self, state: FloatArray) -> _Look | None:
+    def residuals(self, state: FloatArray) -> _Residuals | None:
         """Renders and compares; None where too little of the scene is seen."""
         pose = self.space.poses(state) @ self.body_from_camera
         view = self.renderer.render_with_surface(pose, self.intrinsics)
@@ -134,37 +139,37 @@ class _Level:
         gain, offset, scale = fitted_brightness(
             view.rgba, self.target, self.stride, TUKEY, SMALLEST_SCALE, LARGEST_GAIN
         )
-        return _Look(view, gain, offset, scale)
+        return _Residuals(view, gain, offset, scale)
 
-    def error(self, look: _Look, scale: float) -> float:
-        """Robust error of a look, squared grey levels."""
-        view = look.view
-        return robust_error(view.rgba, self.target, look.gain, look.offset, TUKEY * scale)
+    def error(self, residuals: _Residuals, scale: float) -> float:
+        """Robust error, squared grey levels, with outliers beyond ``TUKEY`` times a scale."""
+        rgba, limit = residuals.view.rgba, TUKEY * scale
+        return robust_error(rgba, self.target, residuals.gain, residuals.offset, limit)
 
     def normal_equations(
-        self, state: FloatArray, look: _Look
+        self, state: FloatArray, residuals: _Residuals
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Hessian ``(D, D)``, gradient ``(D,)`` and the tiles' gradients ``(T, D)``.
 
         Gain and offset are eliminated, so that what they could explain does not move the state.
         """
-        view, pinhole = look.view, self.intrinsics
+        view, pinhole = residuals.view, self.intrinsics
         body = self.space.poses(state)
         camera = body @ self.body_from_camera
-        axes, turns = _unknowns(self.space)
+        axes, is_rotation = _unknowns(self.space)
         hessian, clusters = normal_equations(
             image=view.rgba,
             inverse_depth=view.inverse_depth,
             target=self.target,
-            gain=look.gain,
-            offset=look.offset,
-            limit=TUKEY * look.scale,
+            gain=residuals.gain,
+            offset=residuals.offset,
+            limit=TUKEY * residuals.scale,
             flat=FLAT,
             intrinsics=pinhole.vector()[:4],
             rotation=np.ascontiguousarray(camera[:3, :3]),
             lever=camera[:3, 3] - body[:3, 3],
             axes=axes,
-            is_rotation=turns,
+            is_rotation=is_rotation,
             tiles_across=TILES_ACROSS,
         )
         d = self.space.dimension
@@ -185,15 +190,15 @@ def _inverse(matrix: FloatArray) -> FloatArray:
 
 
 def _unknowns(space: StateSpace) -> tuple[FloatArray, BoolArray]:
-    """World axis ``(D, 3)`` of each unknown, and ``(D,)`` whether it is a turn about it."""
+    """World axis ``(D, 3)`` of each unknown, and ``(D,)`` whether it is a rotation about it."""
     axes = np.eye(3)
     # The one angle of a robot on the floor is about the vertical.
-    turning = axes[3 - space.angles :]
-    turns = np.arange(space.dimension) >= space.positions
-    return np.concatenate([axes[: space.positions], turning]), turns
+    rotation_axes = axes[3 - space.angles :]
+    is_rotation = np.arange(space.dimension) >= space.positions
+    return np.concatenate([axes[: space.positions], rotation_axes]), is_rotation
 
 
-def refine(
+def align(
     renderer: SurfaceRenderer,
     space: StateSpace,
     state: FloatArray,
@@ -201,7 +206,7 @@ def refine(
     observations: Sequence[Observation],
     iterations: int = 8,
     prior: Prior | None = None,
-) -> Refined:
+) -> Alignment:
     """Aligns a state with a camera image.
 
     With a prior the result is the most probable state by both (an iterated extended Kalman filter,
@@ -214,43 +219,48 @@ def refine(
         state: ``(D,)`` where to begin.
         body_from_camera: ``(4, 4)`` the camera's mount.
         observations: the camera image from coarse to fine.
-        iterations: at most, on each level.
-        prior: None: the image alone.
+        iterations: at most, on each pyramid level.
+        prior: what is known of the state before; None: the image alone decides.
     """
     result = _failed(space, np.array(state, dtype=np.float64))
     for observation in observations:
         target = prepared(observation.image)
         level = _Level(renderer, space, body_from_camera, observation.intrinsics, target)
-        result = _refine_level(level, result.state, iterations, prior)
+        result = _align_level(level, result.state, iterations, prior)
         if not math.isfinite(result.error):
             break
     return result
 
 
-def _refine_level(
+def _align_level(
     level: _Level, state: FloatArray, iterations: int, prior: Prior | None
-) -> Refined:
-    """``refine`` on one image size."""
-    look = level.look(state)
-    if look is None:
+) -> Alignment:
+    """``align`` on one pyramid level."""
+    residuals = level.residuals(state)
+    if residuals is None:
         return _failed(level.space, state)
     damping, converged = FIRST_DAMPING, False
-    error = level.error(look, look.scale)
-    hessian, gradient, clusters = level.normal_equations(state, look)
-    pull = _Pull(level, prior, hessian, clusters)
+    error = level.error(residuals, residuals.scale)
+    hessian, gradient, clusters = level.normal_equations(state, residuals)
+    prior_term = _PriorTerm(level, prior, hessian, clusters)
     for _ in range(iterations):
-        step = _step(level.space, hessian + pull.hessian, gradient + pull.gradient(state), damping)
-        converged = _in_pixels(level, look, step) < STEP_PIXELS
+        step = _step(
+            level.space,
+            hessian + prior_term.hessian,
+            gradient + prior_term.gradient(state),
+            damping,
+        )
+        converged = _in_pixels(level, residuals, step) < STEP_PIXELS
         if converged:
             break
         proposed = level.space.moved(state, step)
-        then = level.look(proposed)
-        if then is not None and level.error(then, look.scale) + pull.error(
+        then = level.residuals(proposed)
+        if then is not None and level.error(then, residuals.scale) + prior_term.error(
             proposed
-        ) < error + pull.error(state):
-            state, look = proposed, then
-            error = level.error(look, look.scale)
-            hessian, gradient, clusters = level.normal_equations(state, look)
+        ) < error + prior_term.error(state):
+            state, residuals = proposed, then
+            error = level.error(residuals, residuals.scale)
+            hessian, gradient, clusters = level.normal_equations(state, residuals)
             damping = max(damping / DAMPING_FACTOR, FIRST_DAMPING)
         elif damping >= LARGEST_DAMPING:
             converged = True
@@ -261,17 +271,17 @@ def _refine_level(
         inverse = np.linalg.pinv(hessian, hermitian=True)
         covariance = inverse @ (clusters.T @ clusters) @ inverse
     else:
-        covariance = np.linalg.inv(hessian / pull.dispersion + prior.information)
-    curvature = hessian / (3.0 * look.view.inverse_depth.size)
-    return Refined(state, 0.5 * (covariance + covariance.T), curvature, error, converged)
+        covariance = np.linalg.inv(hessian / prior_term.dispersion + prior.information)
+    curvature = hessian / (3.0 * residuals.view.inverse_depth.size)
+    return Alignment(state, 0.5 * (covariance + covariance.T), curvature, error, converged)
 
 
-class _Pull:
-    """The prior's part of an alignment, in the units of the image's.
+class _PriorTerm:
+    """The prior's part of what is minimised, in the units of the image's.
 
     Args:
-        level: of the alignment.
-        prior: None: there is none.
+        level: the pyramid level.
+        prior: None: there is none, and all parts are zero.
         hessian: ``(D, D)`` of the image where the level begins.
         clusters: ``(T, D)`` gradients of its tiles there.
     """
@@ -283,28 +293,28 @@ class _Pull:
         self.dispersion = 1.0
         self.hessian = np.zeros_like(hessian)
         if prior is not None:
-            # Errors' mean square over what independent ones of the Hessian's own scale would have.
+            # Mean square of the tiles' gradients over that of independent pixels.
             spread = np.trace(np.linalg.pinv(hessian, hermitian=True) @ (clusters.T @ clusters))
-            self.dispersion = prior.doubt * max(float(spread) / len(hessian), 1e-9)
+            self.dispersion = prior.inflation * max(float(spread) / len(hessian), 1e-9)
             self.hessian = self.dispersion * prior.information
 
     def gradient(self, state: FloatArray) -> FloatArray:
-        """Of the prior ``(D,)``."""
+        """The prior's part of the gradient, ``(D,)``."""
         if self._prior is None:
             return np.zeros(len(self.hessian))
         return self.hessian @ self._level.space.difference(state, self._prior.state)
 
     def error(self, state: FloatArray) -> float:
-        """The prior's share of the mean error, squared grey levels."""
+        """The prior's part of the mean error, squared grey levels."""
         if self._prior is None:
             return 0.0
         offset = self._level.space.difference(state, self._prior.state)
         return float(offset @ self.hessian @ offset) / (6.0 * self._level.target[..., 0].size)
 
 
-def _failed(space: StateSpace, state: FloatArray) -> Refined:
+def _failed(space: StateSpace, state: FloatArray) -> Alignment:
     unknown = np.full((space.dimension, space.dimension), np.inf)
-    return Refined(state, unknown, np.zeros_like(unknown), math.inf, False)
+    return Alignment(state, unknown, np.zeros_like(unknown), math.inf, False)
 
 
 def _step(
@@ -314,17 +324,15 @@ def _step(
     diagonal = np.diag(hessian)
     # A direction in which the image does not change at all must not make the system singular.
     damped = hessian + np.diag(damping * diagonal + 1e-9 * float(diagonal.max()) + 1e-12)
-    step = -np.linalg.solve(damped, gradient)
-    metres = float(np.linalg.norm(step[: space.positions])) / LARGEST_STEP_METRES
-    radians = float(np.linalg.norm(step[space.positions :])) / LARGEST_STEP_RADIANS
-    return np.asarray(step / max(1.0, metres, radians))
+    step: FloatArray = -np.asarray(np.linalg.solve(damped, gradient), dtype=np.float64)
+    metres, radians = magnitudes(space, step)
+    return np.asarray(step / max(1.0, metres / LARGEST_STEP_METRES, radians / LARGEST_STEP_RADIANS))
 
 
-def _in_pixels(level: _Level, look: _Look, step: FloatArray) -> float:
-    """About how far a step moves the picture, pixels."""
-    some = np.s_[:: level.stride, :: level.stride]
-    seen = look.view.inverse_depth[some][look.view.rgba[some][..., 3] > 0.0]
-    nearness = float(np.median(seen)) if len(seen) else math.inf
-    positions = level.space.positions
-    metres, radians = np.linalg.norm(step[:positions]), np.linalg.norm(step[positions:])
-    return float(level.intrinsics.fx * (metres * nearness + radians))
+def _in_pixels(level: _Level, residuals: _Residuals, step: FloatArray) -> float:
+    """About how far a step moves the image, pixels."""
+    view, some = residuals.view, np.s_[:: level.stride, :: level.stride]
+    seen = view.inverse_depth[some][view.rgba[some][..., 3] > 0.0]
+    inverse_depth = float(np.median(seen)) if len(seen) else math.inf
+    metres, radians = magnitudes(level.space, step)
+    return level.intrinsics.fx * (metres * inverse_depth + radians)

@@ -1,6 +1,6 @@
 """The belief: weighted particles that stand for p(x_t | H_t) of the paper's equation (1).
 
-A particle is a state (see ``state_space``) with a weight. Weights are kept as logarithms, since
+A particle is a state (``state_space``) with a weight. Weights are kept as logarithms, since
 the likelihood of an image is a product over thousands of pixels: as plain numbers nearly all
 particles would underflow to zero, and the few that are left would look equally good. Only
 differences of log-weights carry meaning, so that a belief is normalised after each update.
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from pipelines.artifacts.arrays import BoolArray, FloatArray
 from pipelines.artifacts.errors import OptionError, StageError
-from pipelines.localize.state_space import StateSpace, state_space_of_dimension
+from pipelines.localize.state_space import StateSpace, sigmas_of, state_space_of_dimension
 
 # A belief's weights add up to 1 within this; looser than rounding over a million particles.
 NORMALISATION_TOLERANCE = 1e-6
@@ -163,7 +163,7 @@ def region_of_area(area: ArrayLike) -> Region:
     """The region of an area ``(4,)`` x_min, x_max, y_min, y_max on the floor.
 
     Raises:
-        OptionError: not four numbers, or see ``Region``.
+        OptionError: not four finite numbers, or an area that is empty.
     """
     values = np.asarray(area, dtype=np.float64)
     if values.shape != (4,):
@@ -178,7 +178,7 @@ def uniform_belief(
 
     Args:
         space: what a state is.
-        region: where.
+        region: where particles may be.
         count: number of particles.
         rng: source of the draws.
 
@@ -201,7 +201,7 @@ def gaussian_belief(
 
     Args:
         space: what a state is.
-        state: ``(D,)``.
+        state: ``(D,)`` the centre.
         position_sigma: standard deviation along each axis, metres.
         heading_sigma: standard deviation of each angle, radians.
         count: number of particles.
@@ -217,7 +217,7 @@ def gaussian_belief(
         if not (np.isfinite(sigma) and sigma >= 0.0):
             raise OptionError(f"{name} = {sigma:g} is not a standard deviation (0 or more)")
     _check_count(count)
-    spread = np.array([position_sigma] * space.positions + [heading_sigma] * space.angles)
+    spread = sigmas_of(space, position_sigma, heading_sigma)
     offsets = spread * rng.standard_normal((count, space.dimension))
     return Belief(space.moved(centre, offsets), equal_log_weights(count))
 
@@ -233,7 +233,7 @@ def equal_log_weights(count: int) -> FloatArray:
 
 
 def radical_inverses(count: int, base: int) -> FloatArray:
-    """``(count,)``: 0, 1, 2 ... with their digits mirrored at the point, in [0, 1)."""
+    """The van der Corput sequence ``(count,)`` in [0, 1): digits of 0, 1, 2 ... mirrored."""
     rest, result = np.arange(count), np.zeros(count)
     worth = 1.0 / base
     while rest.any():

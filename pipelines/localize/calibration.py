@@ -1,6 +1,6 @@
-"""Do stated probabilities come true as often as they say?
+"""Calibration of probabilities: do forecasts come true as often as they state?
 
-Forecasts are put into bins, and in each bin the mean forecast is held against the share of them
+Forecasts are put into bins, and in each bin the mean forecast is compared with the share of them
 that came true: the reliability diagram (Murphy and Winkler 1977). The expected calibration error
 (ECE; Naeini, Cooper and Hauskrecht 2015, *Obtaining well calibrated probabilities using Bayesian
 binning*) is the mean distance between the two, weighted with the bins' forecasts. The Brier score
@@ -26,10 +26,10 @@ class Bin:
     """The forecasts of a range; the last range has its upper end in it.
 
     Attributes:
-        low: end of the range.
-        high: likewise.
+        low: lower end of the range.
+        high: upper end of the range.
         forecasts: how many are in it.
-        mean: of the forecasts; NaN where there are none.
+        mean: mean of the forecasts; NaN where there are none.
         hits: how many of them came true.
     """
 
@@ -41,7 +41,7 @@ class Bin:
 
     @property
     def share(self) -> float:
-        """Of the forecasts that came true; NaN where there are none."""
+        """Share of the forecasts that came true; NaN where there are none."""
         return self.hits / self.forecasts if self.forecasts else math.nan
 
     @property
@@ -137,7 +137,7 @@ def error_of_sums(sums: FloatArray) -> float:
 
 
 def expected_calibration_error(forecasts: FloatArray, outcomes: BoolArray) -> float:
-    """The same of forecasts ``(N,)`` and outcomes ``(N,)``: ten bins of equal width."""
+    """The expected calibration error of ``(N,)`` forecasts and outcomes, over ten equal bins."""
     return error_of_sums(bin_sums(forecasts, outcomes))
 
 

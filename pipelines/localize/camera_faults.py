@@ -1,10 +1,9 @@
 """Is the camera's picture mirrored, upside down, or negative?
 
-A driver that flips the picture, a camera mounted the other way round: half of such an image fits
+A driver may flip the picture, or the camera may be mounted upside down. Half of such an image fits
 the map (the doors of a lobby are as wide seen in a mirror), and a robot that believes it drives to
-the wrong side. While the filter searches, each image is therefore looked up the other ways round
-too. Where one of them explains the images better, again and again, the map is not what this camera
-sees as it is.
+the wrong side. While the filter searches, each image is therefore also searched for as it would be
+without each fault. A fault that explains the images better, again and again, becomes probable.
 """
 
 from collections.abc import Callable, Mapping
@@ -18,7 +17,7 @@ from pipelines.localize.observation import Observation, Observations
 from pipelines.localize.places import compressed
 
 Change = Callable[[Float32Array], Float32Array]
-# What can be wrong with a picture.
+# Fault of a picture -> what it does to an image.
 FAULTS: Mapping[str, Change] = MappingProxyType(
     {
         "mirrored": lambda image: image[:, ::-1],
@@ -27,16 +26,16 @@ FAULTS: Mapping[str, Change] = MappingProxyType(
         "negative": lambda image: np.float32(255.0) - image,
     }
 )
-# Natural logarithm of the odds of each before the first image, and how far they can go.
+# Natural logarithm of the odds of each fault before the first image, and its largest size.
 FIRST_LOG_ODDS, MOST_LOG_ODDS = -4.0, 8.0
 
 
 @dataclass(frozen=True)
 class CameraFaults:
-    """What speaks for each fault.
+    """How probable each fault is.
 
     Attributes:
-        log_odds: by the name of the fault, against a picture as it should be.
+        log_odds: name of the fault -> logarithm of its odds against a picture without fault.
     """
 
     log_odds: Mapping[str, float] = field(
@@ -45,12 +44,12 @@ class CameraFaults:
 
     @property
     def none(self) -> float:
-        """Probability that the picture is as it should be."""
+        """Probability that the picture has no fault."""
         return float(1.0 / (1.0 + np.sum(np.exp(list(self.log_odds.values())))))
 
     @property
     def likeliest(self) -> str:
-        """The fault that most speaks for."""
+        """The most probable fault."""
         return max(self.log_odds, key=lambda name: self.log_odds[name])
 
     def updated(
@@ -59,7 +58,7 @@ class CameraFaults:
         """After one more image.
 
         Args:
-            evidence: the most that the map says for an image anywhere.
+            evidence: the largest evidence of an image for any state of the map.
             observations: the image.
         """
         usual = float(compressed(max(evidence(observations), 0.0)))

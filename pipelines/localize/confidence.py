@@ -1,8 +1,8 @@
 """Confidence: the probability that an estimate is within 0.1 m and 3 degrees of the truth.
 
-Two things can be wrong: the place, and where in it the body stands. The first is the probability
-that the filter gives the place, against all other places and against not seeing the map at all. The
-second is how much of the estimate's normal distribution lies within the bounds.
+An estimate can be in the wrong place, or too far from the truth within the right one. So the
+confidence is a product: the probability of the place, against all other places and against not
+seeing the map at all, times the share of the estimate's normal distribution within the bounds.
 """
 
 import functools
@@ -27,7 +27,7 @@ def confidence(probability: float, covariance: FloatArray) -> float:
     """How probably an estimate is right.
 
     Args:
-        probability: that the body is in the place of the estimate, 0 to 1.
+        probability: of the body being in the place of the estimate, 0 to 1.
         covariance: ``(D, D)`` of the estimate's error there, metres and radians.
 
     Raises:
@@ -53,7 +53,7 @@ def share_within(covariance: FloatArray) -> float:
 
 @functools.cache
 def _normal_points(dimension: int) -> FloatArray:
-    """``(POINTS, dimension)`` evenly spread by a standard normal distribution; not changed."""
+    """``(POINTS, dimension)`` low-discrepancy points of a normal distribution; read-only."""
     # The sequence's first number is 0, which no normal distribution has.
     columns = [radical_inverses(POINTS + 1, base)[1:] for base in BASES[:dimension]]
     quantile = NormalDist().inv_cdf

@@ -1,4 +1,4 @@
-"""Does the filter know how wrong it is? Errors held against the covariances that it stated.
+"""Consistency: errors of the filter compared with the covariances that it states.
 
 The normalised estimation error squared (NEES), e^T P^-1 e, of a consistent estimator is chi-square
 distributed with as many degrees of freedom as a state has (Bar-Shalom, Li, Kirubarajan 2001,
@@ -26,11 +26,11 @@ def chi_square_quantile(level: float, degrees_of_freedom: int) -> float:
 
 @dataclass(frozen=True)
 class Consistency:
-    """Errors over the frames that were followed and have a truth, held against covariances.
+    """Normalised errors of the frames that were tracked and have a ground truth.
 
     Attributes:
         squared_errors: ``(n,)`` NEES of each such frame.
-        degrees_of_freedom: of a state.
+        degrees_of_freedom: numbers of a state.
     """
 
     squared_errors: FloatArray
@@ -57,7 +57,7 @@ class Consistency:
         return low / count, high / count
 
     def rows(self) -> list[tuple[str, ...]]:
-        """For people."""
+        """Rows for people."""
         low, high = self.bounds
         return [
             ("truth in the stated 95 % region (%)", f"{100.0 * self.in_region:.0f}"),
@@ -65,7 +65,7 @@ class Consistency:
         ]
 
     def to_dict(self) -> dict[str, Any]:
-        """For programs."""
+        """Plain JSON types."""
         return {
             "frames": len(self.squared_errors),
             "in_95_region": self.in_region,
@@ -78,12 +78,12 @@ class Consistency:
 def consistency_of(
     run: Run, estimate: str, truth: FloatArray, followed: BoolArray
 ) -> Consistency | None:
-    """Holds one kind of estimate against its stated covariance.
+    """Compares one kind of estimate with its stated covariance.
 
     Args:
         run: the run.
-        estimate: its name; the alignment has a covariance of its own (``refined_covariance``), the
-            others that of the main mode.
+        estimate: its name; ``refined`` has a covariance of its own (``refined_covariance``), the
+            others have that of the main mode.
         truth: ``(N, D)`` true states, NaN where unknown.
         followed: ``(N,)`` frames that count: those after convergence.
 

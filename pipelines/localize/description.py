@@ -1,4 +1,4 @@
-"""What there is to say about a run, for people and for programs."""
+"""Summary of a run, for people and for programs."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -50,7 +50,7 @@ class RunSummary:
         return float(np.mean(self.run.frame_seconds))
 
     def to_dict(self) -> dict[str, Any]:
-        """The same for programs."""
+        """Plain JSON types."""
         run, last = self.run, self.run.frames[-1]
         counts = Counter(frame.status for frame in run.frames)
         return {
@@ -83,7 +83,7 @@ class RunSummary:
         return f"{len(first.particles)}, {len(last.particles)}"
 
     def _last_estimate_text(self) -> str:
-        # A frame of its own: "no pose" is an answer, the pose of an earlier frame would not be.
+        # Of the last frame alone: "none" is an answer, the pose of an earlier frame is not.
         if not self.run.own_estimate_names:
             return "none"
         name = self.run.default_estimate
@@ -109,9 +109,9 @@ def _state_text(space: StateSpace, state: FloatArray) -> str:
 
 
 def describe_run(path: Path) -> RunSummary:
-    """Reads a run and says what is in it.
+    """Reads a run and summarizes it.
 
     Raises:
-        InputError: see ``load_run``.
+        InputError: not a run, of a newer schema, or damaged.
     """
     return RunSummary(path, load_run(path))

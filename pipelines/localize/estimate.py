@@ -42,7 +42,7 @@ class Mode:
 
 
 def max_weight_state(belief: Belief) -> FloatArray:
-    """The state ``(D,)`` of the heaviest particle, the paper's estimate; of equals the first."""
+    """The state ``(D,)`` of the heaviest particle, the paper's estimate; of ties the first."""
     return np.array(belief.states[int(np.argmax(belief.log_weights))])
 
 
@@ -83,7 +83,8 @@ def find_modes(
     Args:
         belief: the particles.
         position_bandwidth: metres; peaks closer than about twice this may count as one.
-        heading_bandwidth: radians; likewise. Rounded so that whole cells fill the circle.
+        heading_bandwidth: radians; peaks closer than about twice this may count as one. Rounded so
+            that whole cells fill the circle.
         minimum_share: peaks with less of the weight than this are left out.
 
     Raises:
@@ -134,13 +135,13 @@ def _connected_labels(
     if len(pairs) == 0:
         return np.arange(len(states), dtype=np.int64)
     rotations = scipy.spatial.transform.Rotation.from_rotvec(states[:, space.positions :])
-    turn = (rotations[pairs[:, 0]].inv() * rotations[pairs[:, 1]]).magnitude()
-    pairs = pairs[turn <= heading_bandwidth]
-    links = scipy.sparse.coo_array(
+    angles = (rotations[pairs[:, 0]].inv() * rotations[pairs[:, 1]]).magnitude()
+    pairs = pairs[angles <= heading_bandwidth]
+    adjacency = scipy.sparse.coo_array(
         (np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (len(states),) * 2
     )
     return np.asarray(
-        scipy.sparse.csgraph.connected_components(links, directed=False)[1], dtype=np.int64
+        scipy.sparse.csgraph.connected_components(adjacency, directed=False)[1], dtype=np.int64
     )
 
 
@@ -157,8 +158,8 @@ def _peak_labels(
             f"particles are spread over more than {MAX_GRID_CELLS:.0e} times the position bandwidth"
         )
     cells[:, :2] = np.floor(place)
-    turns = np.mod(states[:, 2], 2.0 * np.pi) / (2.0 * np.pi)
-    cells[:, 2] = np.floor(turns * heading_cells).astype(np.int64) % heading_cells
+    revolutions = np.mod(states[:, 2], 2.0 * np.pi) / (2.0 * np.pi)
+    cells[:, 2] = np.floor(revolutions * heading_cells).astype(np.int64) % heading_cells
     # Two empty cells of margin: a neighbour's key never runs into the next row.
     rows = int(cells[:, 1].max()) + 3
     keys = ((cells[:, 0] + 1) * rows + cells[:, 1] + 1) * heading_cells + cells[:, 2]

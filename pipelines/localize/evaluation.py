@@ -37,6 +37,8 @@ _COLUMNS = ("median", "rmse", "max", "last", "last5_mean")
 class ErrorStatistics:
     """One kind of error over the frames of a run.
 
+    Statistics are of the known errors.
+
     Attributes:
         per_frame: ``(N,)``, NaN where there is no truth or no estimate.
     """
@@ -50,7 +52,7 @@ class ErrorStatistics:
 
     @property
     def median(self) -> float:
-        """Of the known errors; so are the others."""
+        """The median."""
         return float(np.median(self.known))
 
     @property
@@ -65,7 +67,7 @@ class ErrorStatistics:
 
     @property
     def last(self) -> float:
-        """In the last frame."""
+        """The error in the last frame that has one."""
         return float(self.known[-1])
 
     @property
@@ -120,8 +122,8 @@ class PnpEvaluation:
 
     Attributes:
         errors: where it has a pose; None where none of those has a truth.
-        frames_with_pose: of all frames of the run.
-        frames: of the run.
+        frames_with_pose: number of frames with a pose.
+        frames: number of frames of the run.
         seconds_per_frame: mean wall time of features, matches and pose.
     """
 
@@ -131,7 +133,7 @@ class PnpEvaluation:
     seconds_per_frame: float
 
     def rows(self) -> list[tuple[str, ...]]:
-        """For people; the errors are rows of their own."""
+        """Rows for people, but for those of the errors."""
         share = 100.0 * self.frames_with_pose / self.frames
         text = f"{self.frames_with_pose} of {self.frames} ({share:.0f} %)"
         return [
@@ -140,7 +142,7 @@ class PnpEvaluation:
         ]
 
     def to_dict(self) -> dict[str, Any]:
-        """For programs."""
+        """Plain JSON types."""
         return {
             "errors": None if self.errors is None else self.errors.to_dict(),
             "frames_with_pose": self.frames_with_pose,
@@ -161,14 +163,14 @@ class RunEvaluation:
         frames: how many frames have a truth.
         frames_without_groundtruth: how many have none, and count for nothing.
         frames_without_estimate: how many have a truth, but the filter gave no estimate.
-        frames_with_stand_in: how many have a coarser estimate than the one that was judged, which
-            was taken in its place.
+        frames_with_stand_in: how many lack the estimate that was judged, and are judged by its
+            coarser fallback.
         frames_until_converged: how many frames came before the estimate was, and stayed, good
             enough for success; None where it never was.
         frames_to_recover: length of every stretch of worse frames between good ones.
-        consistency: errors after convergence against the covariances that were stated, or None.
-        trust: what the frames state, status and confidence, held against the truth.
-        particles: their number in the last frame.
+        consistency: errors after convergence compared with the stated covariances, or None.
+        trust: status and confidence of the frames compared with the truth.
+        particles: number of particles in the last frame.
         seconds_per_frame: mean wall time, all stages together, without PnP where that only ran
             beside the filter.
     """
@@ -237,7 +239,7 @@ class RunEvaluation:
         return rows
 
     def to_dict(self) -> dict[str, Any]:
-        """The same for programs."""
+        """Plain JSON types."""
         return {
             "estimate": self.estimate,
             **self.errors.to_dict(),
@@ -409,7 +411,7 @@ def _evaluate_track(space: StateSpace, states: FloatArray, truth: FloatArray) ->
     position_errors, angle_errors = state_errors(space, states, truth)
     position = ErrorStatistics(position_errors)
     heading = ErrorStatistics(np.degrees(angle_errors))
-    # Frames in which nothing was estimated must not make room for better ones before them.
+    # The last frames with a truth: earlier ones must not replace those without an estimate.
     last = states[known_states(truth)][-LAST_FRAMES:]
     success = (
         bool(np.all(known_states(last)))

@@ -1,8 +1,8 @@
-"""The classical way to a camera's pose: SIFT, matches, perspective-n-point.
+"""A camera's pose from features: SIFT, matching, perspective-n-point.
 
 Features are Lowe's (2004), compared by the Hellinger distance (Arandjelovic, Zisserman 2012, "Three
-things everyone should know to improve object retrieval"). A match is the best both ways and clearly
-better than the second best. The pose comes from pycolmap: LO-RANSAC over minimal solutions, then
+things everyone should know to improve object retrieval"). Matches are mutual nearest neighbours
+that pass the ratio test. The pose comes from pycolmap: LO-RANSAC over minimal solutions, then
 robust refinement, with the camera's own distortion.
 
 Pixels have their centres at integers here and at .5 in pycolmap.
@@ -20,12 +20,14 @@ from pipelines.artifacts.arrays import Float32Array, FloatArray, ImageArray, Int
 from pipelines.geometry.camera import Camera
 from pipelines.reconstruct.colmap_model import PIXEL_CENTRE_SHIFT, colmap_params
 
+# SIFT's threshold of contrast.
 CONTRAST = 0.02
-# The second best match is at least so many times as far.
+# Largest ratio of the distances to the nearest and to the second nearest descriptor.
 RATIO = 0.8
-# Features that decide which photos are worth a closer look, and how many photos get it.
-SCOUTS, CLOSER_LOOKS = 256, 12
-# A landmark this far from where it should be, as a share of the image's longer side, is wrong.
+# The strongest features rank the photos, and so many photos are matched with all features.
+RANKING_FEATURES, MATCHED_PHOTOS = 256, 12
+# Reprojection error up to which a landmark is an inlier: a share of the image's longer side, and at
+# least so many pixels.
 LARGEST_ERROR_SHARE = 0.0125
 SMALLEST_ERROR = 2.0
 RANSAC_TRIALS = 20_000
@@ -38,11 +40,11 @@ class FeatureSettings:
     """How poses are found.
 
     Attributes:
-        max_size: features are sought in images reduced to this longer side.
-        max_features: features an image.
-        min_inliers: with fewer features that agree there is no pose.
+        max_size: features are detected in images reduced to this longer side, pixels.
+        max_features: the most features of an image.
+        min_inliers: the fewest inliers of a pose.
         seed: of RANSAC.
-        threads: photos that are compared at the same time; changes no result.
+        threads: photos that are matched at the same time; changes no result.
     """
 
     max_size: int
@@ -54,13 +56,14 @@ class FeatureSettings:
 
 @dataclass(frozen=True)
 class FoundPose:
-    """What the features of an image say.
+    """The pose of one image by its features.
 
     Attributes:
         matches: features that match a landmark.
-        inliers: of these, those that agree on the pose.
+        inliers: features of these that agree on the pose.
         camera_from_world: ``(3, 4)``; None: no pose.
-        covariance: ``(6, 6)`` of its error, see ``pose_covariance``; None where there is no pose.
+        covariance: ``(6, 6)`` of the error of the camera's position (metres) and rotation
+            (radians), in world axes; None where there is no pose.
     """
 
     matches: int
@@ -71,10 +74,10 @@ class FoundPose:
 
 @dataclass(frozen=True)
 class Features:
-    """What stands out in an image, strongest first.
+    """SIFT features of an image, strongest first.
 
     Attributes:
-        pixels: ``(F, 2)`` of the image in its full size, centres at integers.
+        pixels: ``(F, 2)`` positions in the image at its full size, pixel centres at integers.
         descriptors: ``(F, 128)`` unit vectors.
     """
 
@@ -87,9 +90,9 @@ class MapView:
     """A photo of the map.
 
     Attributes:
-        descriptors: ``(F, 128)`` of all its features: those without a place compete as well.
-        landmark: ``(F,)`` row of ``points``, -1 where the place is unknown.
-        points: ``(L, 3)`` world coordinates.
+        descriptors: ``(F, 128)`` of all its features: those that are no landmarks compete as well.
+        landmark: ``(F,)`` row of ``points`` of each feature; -1: no landmark.
+        points: ``(L, 3)`` world coordinates of the landmarks.
     """
 
     descriptors: Float32Array
@@ -100,14 +103,21 @@ class MapView:
 def find_features(
     grey: ImageArray, max_size: int, max_features: int, used: ImageArray | None = None
 ) -> Features:
-    """The features of an image ``(height, width)``; those where ``used`` is not 0, if given."""
+    """Detects the features of an image.
+
+    Args:
+        grey: ``(height, width)``.
+        max_size: they are detected in the image reduced to this longer side, pixels.
+        max_features: the most that are kept.
+        used: ``(height, width)``, 0 where there shall be no feature; None: nowhere.
+    """
     height, width = grey.shape
     scale = min(1.0, max_size / max(height, width))
     size = max(1, round(width * scale)), max(1, round(height * scale))
     small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA) if scale < 1.0 else grey
     # Without precise upscaling OpenCV's positions are shifted by a quarter of a pixel.
     sift = cv2.SIFT.create(
-        # OpenCV looks at the mask last: what is masked would count among the strongest. 0: all.
+        # OpenCV applies the mask last: masked features would count among the strongest. 0: all.
         nfeatures=max_features if used is None else 0,
         contrastThreshold=CONTRAST,
         enable_precise_upscale=True,
@@ -132,7 +142,13 @@ def _reduced_mask(used: ImageArray, size: tuple[int, int]) -> ImageArray:
 
 
 def match(first: Float32Array, second: Float32Array, *, mutual: bool = True) -> IntArray:
-    """Pairs ``(K, 2)`` of rows that match: the best both ways, and clearly so."""
+    """Pairs ``(K, 2)`` of rows that match.
+
+    Args:
+        first: ``(F, 128)`` descriptors.
+        second: ``(S, 128)`` descriptors.
+        mutual: whether only mutual nearest neighbours match.
+    """
     if len(first) == 0 or len(second) == 0:
         return np.empty((0, 2), dtype=np.int64)
     similarity = first @ second.T  # [F, S]
@@ -150,8 +166,8 @@ class PoseFinder:
     """Holds the map's landmarks and finds poses by them.
 
     Args:
-        camera: that is located.
-        settings: how.
+        camera: the camera that is located.
+        settings: of features, matching and RANSAC.
     """
 
     def __init__(self, camera: Camera, settings: FeatureSettings) -> None:
@@ -163,18 +179,23 @@ class PoseFinder:
     def describe(self, grey: ImageArray) -> FloatArray:
         """Takes one more photo of the map; returns the pixels ``(F, 2)`` of its features."""
         features = self._features(grey)
-        nowhere = np.full(len(features.pixels), -1, dtype=np.int64)
-        self._views.append(MapView(features.descriptors, nowhere, np.empty((0, 3))))
+        unknown = np.full(len(features.pixels), -1, dtype=np.int64)
+        self._views.append(MapView(features.descriptors, unknown, np.empty((0, 3))))
         return features.pixels
 
     def place(self, rows: IntArray, points: FloatArray) -> None:
-        """Says where features ``(L,)`` of the last photo are: ``(L, 3)`` world coordinates."""
+        """Sets the landmarks of the last photo.
+
+        Args:
+            rows: ``(L,)`` indices of its features.
+            points: ``(L, 3)`` their world coordinates.
+        """
         landmark = self._views[-1].landmark.copy()
         landmark[rows] = np.arange(len(rows))
         self._views[-1] = replace(self._views[-1], landmark=landmark, points=points)
 
     def use_only(self, used: ImageArray) -> None:
-        """Says where camera images ``(height, width)`` are used: where this is not 0."""
+        """Sets the mask ``(height, width)`` of camera images: features where it is not 0."""
         self._used = used
 
     def locate(self, grey: ImageArray) -> FoundPose:
@@ -195,14 +216,14 @@ class PoseFinder:
         options.ransac.max_error = max(SMALLEST_ERROR, LARGEST_ERROR_SHARE * longer)
         options.ransac.max_num_trials = RANSAC_TRIALS
         options.ransac.random_seed = settings.seed
-        # Several threads would share out the random numbers as it happens.
+        # Several threads would draw the random numbers in any order.
         options.ransac.num_threads = 1
         pixels = features.pixels[rows] + PIXEL_CENTRE_SHIFT
         answer = pycolmap.estimate_and_refine_absolute_pose(pixels, points, camera, options)
         if answer is None:
             return FoundPose(matches)
         mask = np.asarray(answer["inlier_mask"], dtype=np.bool_)
-        # A feature that is matched with several photos is still one piece of evidence.
+        # A feature that is matched with several photos is one inlier.
         inliers = len(np.unique(rows[mask]))
         if inliers < settings.min_inliers:
             return FoundPose(matches, inliers)
@@ -217,8 +238,8 @@ class PoseFinder:
         return find_features(grey, self._settings.max_size, self._settings.max_features, used)
 
     def _landmarks(self, features: Features) -> tuple[IntArray, FloatArray]:
-        """Features that match, ``(K,)`` rows, and where their matches are, ``(K, 3)``."""
-        chosen = self._worth_looking(features)
+        """Rows ``(K,)`` of features that match a landmark, and its coordinates ``(K, 3)``."""
+        chosen = self._most_similar(features)
         rows, points = [np.empty(0, dtype=np.int64)], [np.empty((0, 3))]
         with ThreadPoolExecutor(self._settings.threads) as pool:
             for view, pairs in zip(
@@ -231,33 +252,33 @@ class PoseFinder:
                 points.append(view.points[landmark[landmark >= 0]])
         return np.concatenate(rows), np.concatenate(points)
 
-    def _worth_looking(self, features: Features) -> Sequence[MapView]:
+    def _most_similar(self, features: Features) -> Sequence[MapView]:
         """The photos that the strongest features match best."""
-        if len(self._views) <= CLOSER_LOOKS:
+        if len(self._views) <= MATCHED_PHOTOS:
             return self._views
-        scouts = features.descriptors[:SCOUTS]
+        strongest = features.descriptors[:RANKING_FEATURES]
         with ThreadPoolExecutor(self._settings.threads) as pool:
             counts = list(
                 pool.map(
-                    lambda view: len(match(scouts, view.descriptors, mutual=False)), self._views
+                    lambda view: len(match(strongest, view.descriptors, mutual=False)), self._views
                 )
             )
-        best = np.argsort(-np.array(counts), kind="stable")[:CLOSER_LOOKS]
+        best = np.argsort(-np.array(counts), kind="stable")[:MATCHED_PHOTOS]
         return [self._views[index] for index in best]
 
 
 def pose_covariance(
     camera: Any, camera_from_world: FloatArray, pixels: FloatArray, points: FloatArray
 ) -> FloatArray:
-    """Covariance ``(6, 6)`` of a camera's place (metres) and turn (radians), both in world axes.
+    """Covariance ``(6, 6)`` of a camera's position (metres) and rotation (radians), world axes.
 
-    That of least squares: the inverse of the normal equations, times the variance of what is left
-    of the reprojection errors. The turn is about the camera's centre.
+    That of least squares: the inverse of the normal equations, times the variance of the
+    reprojection errors. The rotation is about the camera's centre.
 
     Args:
-        camera: pycolmap's.
+        camera: a ``pycolmap.Camera``.
         camera_from_world: ``(3, 4)``.
-        pixels: ``(N, 2)``, pycolmap's convention, N at least 4.
+        pixels: ``(N, 2)`` where the points are seen, pycolmap's convention, N at least 4.
         points: ``(N, 3)`` world coordinates.
     """
     rotation, centre = (
@@ -272,11 +293,11 @@ def pose_covariance(
         behind = np.asarray(camera.img_from_cam(local - step * axis), dtype=np.float64)
         slopes.append((ahead - behind) / (2.0 * step))
     by_point = np.stack(slopes, axis=-1)  # [N, 2, 3]
-    arms = points - centre
-    # When the camera moves, points move the other way; likewise when it turns.
-    turned = np.cross(arms[:, :, None], np.eye(3)[None], axis=1)  # [N, 3, axis of the turn]
+    levers = points - centre
+    # When the camera moves or rotates, points move the other way.
+    by_rotation = np.cross(levers[:, :, None], np.eye(3)[None], axis=1)  # [N, 3, rotation axis]
     by_pose = np.concatenate(
-        [np.repeat(-rotation[None], len(points), 0), rotation @ turned], axis=2
+        [np.repeat(-rotation[None], len(points), 0), rotation @ by_rotation], axis=2
     )
     jacobian = (by_point @ by_pose).reshape(-1, 6)
     errors = np.asarray(camera.img_from_cam(local), dtype=np.float64) - pixels

@@ -1,4 +1,7 @@
-"""How many particles, and how far apart: what keeps a shrinking particle set from collapsing."""
+"""KLD sampling: how many particles a belief needs; and roughening, which keeps them apart.
+
+Both keep a shrinking particle set from collapsing onto a few states.
+"""
 
 import math
 from statistics import NormalDist
@@ -7,9 +10,9 @@ import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray
 from pipelines.localize.belief import Belief
-from pipelines.localize.state_space import StateSpace, cells_of, state_space_of_dimension
+from pipelines.localize.state_space import StateSpace, grid_cells, state_space_of_dimension
 
-# Cells in which particles are counted for the KLD bound.
+# Size of the grid cells in which particles are counted: metres and radians.
 CELL_POSITION, CELL_HEADING = 0.25, math.radians(15.0)
 # The posterior's distance from the sampled one stays below KLD_ERROR with this probability.
 KLD_ERROR, KLD_QUANTILE = 0.08, 0.99
@@ -33,13 +36,16 @@ def kld_count(occupied_cells: int) -> int:
 
 
 def next_count(belief: Belief, smallest: int, shrink_factor: float) -> int:
-    """How many particles to draw from a belief.
+    """How many particles to draw from a belief: as many as the KLD bound asks for, within limits.
 
-    What the KLD bound asks for, but never fewer than ``smallest``, never more than now, and not
-    less than ``shrink_factor`` of now: several images have to agree before hypotheses are given up.
+    Args:
+        belief: the particles; there are never more than these.
+        smallest: there are never fewer.
+        shrink_factor: nor fewer than this share of those in the belief: several images have to
+            agree before hypotheses are given up.
     """
     space = state_space_of_dimension(belief.states.shape[1])
-    cells = cells_of(space, belief.states, CELL_POSITION, CELL_HEADING)
+    cells = grid_cells(space, belief.states, CELL_POSITION, CELL_HEADING)
     _, members = np.unique(cells, axis=0, return_inverse=True)
     shares = np.bincount(members.reshape(-1), weights=belief.weights)
     wanted = kld_count(int(np.count_nonzero(shares > NEGLIGIBLE_SHARE)))

@@ -1,8 +1,8 @@
-"""Where in the world the features of a scene's photos are.
+"""Landmarks: world coordinates of the features of a scene's photos.
 
 Three sources: the points that structure from motion triangulated; the scene's depth maps; or, where
-the scene is a plane, that plane. A feature without a place that can be relied on has none: a depth
-nobody confirmed, or a pixel at a depth edge, of which half belongs to something else.
+the scene is a plane, that plane. A feature whose position is not reliable is no landmark: one whose
+depth no neighbouring view confirms, or one at a depth edge, where pixels mix two surfaces.
 """
 
 from dataclasses import dataclass
@@ -20,12 +20,12 @@ from pipelines.geometry.pose import inverse, rotation_angle
 from pipelines.lightfield.scene import Scene, SceneDepth
 from pipelines.reconstruct.reconstruction import Reconstruction
 
-# A feature and an observation of a point that are so many pixels apart are the same.
+# A feature is an observation of a point when they are at most so many pixels apart.
 SAME_PIXELS = 2.0
-# Around a feature depths may differ by this share; more is an edge.
+# Depths around a feature differ by at most this share; more is a depth edge.
 EDGE_SHARE = 0.05
-# A plane that is seen at less than this (sine of the angle between ray and plane) is seen too
-# obliquely to say where on it a pixel lies.
+# A ray that meets the plane at a smaller angle than this (its sine) is too oblique to locate a
+# feature.
 SMALLEST_INCIDENCE = 0.1
 # A scene and the reconstruction that it was made from agree better than this, metres and radians.
 SAME_POSITION, SAME_ANGLE = 1e-3, 1e-3
@@ -33,11 +33,11 @@ SAME_POSITION, SAME_ANGLE = 1e-3, 1e-3
 
 @dataclass(frozen=True)
 class Landmarks:
-    """Features with a place.
+    """The landmarks among a photo's features.
 
     Attributes:
-        rows: ``(L,)`` which of a photo's features.
-        points: ``(L, 3)`` world coordinates.
+        rows: ``(L,)`` indices of the features.
+        points: ``(L, 3)`` their world coordinates.
     """
 
     rows: IntArray
@@ -45,11 +45,11 @@ class Landmarks:
 
 
 class LandmarkSource:
-    """Tells where features of a scene's photos are.
+    """Finds the landmarks of a scene's photos.
 
     Args:
         scene: the light field.
-        reconstruction: whose points are used; None: the scene's own surface is.
+        reconstruction: whose points are used; None: those of the scene's own surface.
         reconstruction_path: how errors name it.
 
     Raises:
@@ -67,7 +67,12 @@ class LandmarkSource:
             self._images = _images_of_views(scene, reconstruction, reconstruction_path)
 
     def landmarks(self, view: int, pixels: FloatArray) -> Landmarks:
-        """Those of the features at ``pixels`` ``(F, 2)`` of a photo, as recorded, with a place."""
+        """The landmarks among a photo's features.
+
+        Args:
+            view: which photo.
+            pixels: ``(F, 2)`` of the features in the photo as recorded.
+        """
         scene = self._scene
         if self._reconstruction is not None:
             return _triangulated(self._reconstruction, self._images[view], pixels)
@@ -84,15 +89,15 @@ class LandmarkSource:
 
 
 def depth_at(depth: SceneDepth, pinhole: Intrinsics, rays: FloatArray) -> FloatArray:
-    """Inverse depths ``(F,)`` that a depth map has along rays ``(F, 3)``; 0 where it is unsure.
+    """Inverse depths ``(F,)`` of a depth map along rays; 0 where it is not reliable.
 
     Between pixels the inverse depth is interpolated, which is exact on planes. All pixels around
-    have to be confident, and close to each other.
+    have to be confident, and close to each other in depth.
 
     Args:
         depth: of the undistorted photo, at any size.
-        pinhole: of the undistorted photo.
-        rays: camera coordinates, z = 1.
+        pinhole: intrinsics of the undistorted photo.
+        rays: ``(F, 3)`` camera coordinates, z = 1.
     """
     height, width = depth.inverse_depth.shape
     grid = pinhole.resized(width, height)
@@ -108,7 +113,7 @@ def depth_at(depth: SceneDepth, pinhole: Intrinsics, rays: FloatArray) -> FloatA
 def _sampled(
     values: Float32Array, columns: Float32Array, rows: Float32Array, interpolation: int
 ) -> Float32Array:
-    """Values ``(F,)`` between the pixels of an array; 0 outside of it."""
+    """Values ``(F,)`` of an array, interpolated at columns and rows; 0 outside of it."""
     if len(columns) == 0:
         return np.empty(0, dtype=np.float32)
     found = cv2.remap(values, columns[:, None], rows[:, None], interpolation, borderValue=0.0)
@@ -116,7 +121,7 @@ def _sampled(
 
 
 def _is_smooth(inverse_depth: Float32Array) -> BoolArray:
-    """Which pixels ``(h, w)`` are known, like all those next to them, and no edge runs there."""
+    """Which pixels ``(h, w)`` are known, as all their neighbours are, and at no depth edge."""
     kernel = np.ones((3, 3), np.uint8)
     # The borders do not count: by default they count as the opposite extremes.
     lowest = cv2.erode(inverse_depth, kernel)
@@ -139,7 +144,7 @@ def plane_depth_at(plane: Plane, world_from_camera: FloatArray, rays: FloatArray
 def _triangulated(
     reconstruction: Reconstruction, image: int | None, pixels: FloatArray
 ) -> Landmarks:
-    """Features that lie where a point was observed."""
+    """The landmarks of features that lie where a point was observed."""
     seen = np.empty(0, dtype=np.int64)
     if image is not None:
         seen = np.flatnonzero(reconstruction.observations[:, 1] == image)
@@ -176,7 +181,7 @@ def _images_of_views(
     if not np.all(is_same & (rotation_angle(apart) <= SAME_ANGLE)):
         raise InputError(
             path,
-            "has its photos at other places than the scene",
+            "has other poses of its photos than the scene",
             "give the reconstruction that the scene was made from",
         )
     return images

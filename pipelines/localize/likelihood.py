@@ -15,7 +15,7 @@ import numpy as np
 from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import OptionError, StageError
 from pipelines.localize.belief import effective_sample_size, normalise_log_weights
-from pipelines.localize.observation import LATTICES
+from pipelines.localize.observation import SUBSAMPLING_SHIFTS
 from pipelines.render.channels import Channels
 from pipelines.render.comparison import Cost
 
@@ -32,11 +32,13 @@ class Likelihood:
             ten. For evidence it is the number of independent pixels that an image is worth,
             whatever its size.
         fit_gain: whether a brightness factor is fitted before the comparison.
-        one_pixel_in: one in so many pixels is compared, a key of ``observation.LATTICES``.
+        one_pixel_in: one in so many pixels is compared, a key of
+            ``observation.SUBSAMPLING_SHIFTS``.
         channels: what of the images is compared.
 
     Raises:
-        OptionError: a sharpness that is not positive and finite, or pixels that no lattice has.
+        OptionError: a sharpness that is not positive and finite, or a subsampling that does
+            not exist.
     """
 
     cost: Cost
@@ -48,8 +50,8 @@ class Likelihood:
     def __post_init__(self) -> None:
         if not (np.isfinite(self.sharpness) and self.sharpness > 0.0):
             raise OptionError(f"a likelihood's sharpness {self.sharpness:g} must be positive")
-        if self.one_pixel_in not in LATTICES:
-            known = ", ".join(map(str, LATTICES))
+        if self.one_pixel_in not in SUBSAMPLING_SHIFTS:
+            known = ", ".join(map(str, SUBSAMPLING_SHIFTS))
             raise OptionError(f"one pixel in {self.one_pixel_in} is none of one in {known}")
         if self.cost is Cost.GRADIENT and self.one_pixel_in != 1:
             raise OptionError("gradients are of neighbouring pixels: compare one pixel in 1")

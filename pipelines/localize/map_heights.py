@@ -1,9 +1,9 @@
-"""Whether a map's recording positions fit a robot that drives on the plane z = 0.
+"""Checks whether a map's recording positions fit a robot that drives on the plane z = 0.
 
 A planar state puts the robot's camera at the height of its mount, wherever it is. That is wrong
 where the ground of the map slopes or where z = 0 of the map is not the floor. Neither shows in the
-result: an estimate at a wrong height is as narrow as a right one. What the views' heights say is
-put into notes, never into an error, since a map may be recorded at other heights than it is used.
+result: an estimate at a wrong height is as narrow as a right one. The views' heights only lead to
+notes, never to an error, since a map may be recorded at other heights than it is used at.
 
 Limits, and why:
 
@@ -24,7 +24,7 @@ from pipelines.artifacts.arrays import FloatArray
 from pipelines.geometry.pose import inverse
 from pipelines.lightfield.scene import Scene
 
-# Metres, except for the shares; see above.
+# Metres, except for the shares; the module's text gives the reasons.
 GROUND_TOLERANCE = 0.2
 SLOPE_RISE, SLOPE_EXPLAINED, SLOPE_VIEWS = 0.3, 0.7, 10
 # A plane steeper than this (rise over run) through the positions is no ground.
@@ -40,11 +40,11 @@ UNEVEN_REMEDY = "a planar robot stays on z = 0; --dof 6 lets it leave the plane"
 
 
 def notes_on_heights(scene: Scene, camera_height: float) -> tuple[str, ...]:
-    """What the heights of a map's views say against a robot on z = 0, a line each.
+    """Reasons in the heights of a map's views against a robot on z = 0, a line each.
 
     Args:
         scene: the map.
-        camera_height: of the robot's camera above the floor, metres.
+        camera_height: height of the robot's camera above the floor, metres.
     """
     centres = scene.world_from_camera[:, :3, 3]
     low, high = np.percentile(centres[:, 2], MOST).tolist()

@@ -14,7 +14,7 @@ import numpy as np
 from pipelines.artifacts.arrays import BoolArray, FloatArray
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.views import Views, views_of_scene
-from pipelines.localize.alignment import Prior, Refined, refine
+from pipelines.localize.alignment import Alignment, Prior, align
 from pipelines.localize.belief import Belief
 from pipelines.localize.likelihood import LIKELIHOODS, Likelihood
 from pipelines.localize.observation import Observation, Observations
@@ -32,7 +32,7 @@ from pipelines.render.surface import Quality, quality_named
 VIEW_RESOLUTION_FACTOR = 8
 # So many of the heaviest particles stand for a posterior.
 HEAVIEST = 64
-# Images that are explained worse than this are not told apart.
+# Smallest share of an image that counts as explained: smaller ones are too noisy to compare.
 LEAST_EXPLAINED = 0.1
 
 
@@ -100,12 +100,12 @@ class MeasurementModel:
 
     @property
     def renderer(self) -> Renderer:
-        """Of the photos in the channels in which images are aligned and looked up."""
+        """The renderer of the photos in the channels in which images are aligned and retrieved."""
         return self._renderers[self._absolute.channels]
 
     @property
     def channels(self) -> Channels:
-        """In which images are aligned and looked up."""
+        """The channels in which images are aligned and retrieved."""
         return self._absolute.channels
 
     def log_likelihoods(self, states: FloatArray, observation: Observation) -> FloatArray:
@@ -117,7 +117,7 @@ class MeasurementModel:
         costs = self._renderers[likelihood.channels].costs(
             self._poses(states),
             own.intrinsics,
-            own.thinned(likelihood.one_pixel_in),
+            own.subsampled(likelihood.one_pixel_in),
             likelihood.cost,
             likelihood.fit_gain,
         )
@@ -129,12 +129,12 @@ class MeasurementModel:
         """What an image says for states ``(M, D)`` against "it does not show the map", ``(M,)``.
 
         Args:
-            states: where.
+            states: world_from_body.
             observation: the image.
             one_pixel_in: one in so many pixels is compared; they stand for all.
         """
         own = observation.in_channels(self.channels)
-        image = own.thinned(one_pixel_in)
+        image = own.subsampled(one_pixel_in)
         compared = max(int(np.count_nonzero(np.isfinite(image[..., 0]))), 1)
         usable = int(np.count_nonzero(own.used))
         costs = self.renderer.costs(
@@ -148,6 +148,10 @@ class MeasurementModel:
         # Of all pixels, masked ones included: a part of an image is worth a part.
         share = usable / compared / own.used.size
         return np.where(self._is_too_near(states), 0.0, -self._absolute.sharpness * share * costs)
+
+    def evidence_at(self, state: FloatArray, observation: Observation) -> float:
+        """What an image says for one state ``(D,)``."""
+        return float(self.evidence(state[None], observation)[0])
 
     def _is_too_near(self, states: FloatArray) -> BoolArray:
         """Which states ``(M, D)`` have the camera nearer to the plane than photos can show.
@@ -172,10 +176,10 @@ class MeasurementModel:
             1 where the image is explained as well as the map's own photos are by each other, less
             where light or contents have changed; at most 1, and never below ``LEAST_EXPLAINED``.
         """
-        return self.explained_by(float(self.evidence(state[None], observation)[0]), observation)
+        return self.explained_by(self.evidence_at(state, observation), observation)
 
     def explained_by(self, evidence: float, observation: Observation) -> float:
-        """The same, for a state whose evidence is known.
+        """What ``explained`` returns, for a state whose evidence is known.
 
         Args:
             evidence: of the image for the state.
@@ -202,7 +206,7 @@ class MeasurementModel:
 
         Args:
             belief: the posterior.
-            log_prior: ``(M,)`` its particles' weights before the image, adding up to 1.
+            log_prior: ``(M,)`` log-weights of its particles before the image, normalised.
             observation: the image.
         """
         heaviest = np.argsort(-belief.log_weights, kind="stable")[:HEAVIEST]
@@ -217,12 +221,12 @@ class MeasurementModel:
         return float(compressed(mean))
 
     def pixels(self, width: int) -> PixelEvidence:
-        """What differences say in images of this width; learnt once."""
+        """The evidence of pixel differences in images of this width; learnt once."""
         self.learn_pixels([width])
         return self._pixels[width].result()
 
     def learn_pixels(self, widths: Sequence[int]) -> None:
-        """Begins to learn what differences say in images of these widths, and does not wait."""
+        """Begins to learn the evidence in images of these widths, and does not wait."""
         for width in widths:
             if width not in self._pixels:
                 self._pixels[width] = self._learner.submit(
@@ -235,10 +239,17 @@ class MeasurementModel:
         observations: Observations,
         widths: Sequence[int],
         prior: Prior | None = None,
-    ) -> Refined:
-        """A state aligned with the image in these sizes, coarse to fine; see ``refine``."""
+    ) -> Alignment:
+        """A state aligned with the image.
+
+        Args:
+            state: ``(D,)`` where the alignment begins.
+            observations: the image.
+            widths: sizes of the image, coarse to fine.
+            prior: what is known of the state before; None: nothing.
+        """
         images = [observations.by_width[width].in_channels(self.channels) for width in widths]
-        return refine(self.renderer, self.space, state, self.body_from_camera, images, prior=prior)
+        return align(self.renderer, self.space, state, self.body_from_camera, images, prior=prior)
 
     def _poses(self, states: FloatArray) -> FloatArray:
         return self.space.poses(states) @ self.body_from_camera

@@ -1,19 +1,19 @@
 """The motion model p(x_t | x_{t-1}, m_t): odometry increments with noise.
 
 The odometry model of Thrun, Burgard and Fox, *Probabilistic Robotics*, chapter 5.4, decomposes a
-motion into turn, drive, turn. A robot that can drive sideways has no such decomposition (and even
-for one that cannot, the first turn is undefined when it hardly moves). So the same four parameters
-act here on the increment itself, as measured in the robot's frame, with t the length of its
-translation and r the size of its turn:
+motion into rotation, translation, rotation. A robot that can drive sideways has no such
+decomposition (and even for one that cannot, the first rotation is undefined when it hardly moves).
+So the same four parameters act here on the increment itself, as measured in the robot's frame, with
+t the length of its translation and r the angle of its rotation:
 
     variance of the heading             alpha1 r^2 + alpha2 t^2 + heading_floor^2
     variance of the translation, along
     and across the heading, each        alpha3 t^2 + alpha4 r^2 + position_floor^2
 
-The floor keeps particles apart while the robot stands still, and stands for what odometry does not
-know about: slip, a map that is some centimetres off. A pose with six degrees of freedom takes the
-same variances along its three axes and about them. Where no odometry is known the motion is a
-random walk.
+The floor keeps particles apart while the robot stands still, and covers what odometry does not
+measure: slip, a map that is some centimetres off. A pose with six degrees of freedom takes the same
+variances along its three axes and about them. Where no odometry is known the motion is a random
+walk.
 """
 
 import math
@@ -23,7 +23,7 @@ import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import OptionError
-from pipelines.localize.state_space import StateSpace
+from pipelines.localize.state_space import StateSpace, sigmas_of
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class MotionModel:
         position_floor: standard deviation of x and of y that each step adds, metres.
         heading_floor: standard deviation of the heading that each step adds, radians.
         walk_position: standard deviation along each axis of a step without odometry, metres.
-        walk_heading: likewise about each axis, radians.
+        walk_heading: standard deviation about each axis of a step without odometry, radians.
 
     Raises:
         OptionError: a value that is negative or not finite.
@@ -66,17 +66,17 @@ class MotionModel:
 
         Args:
             space: what a state is.
-            increment: ``(D,)`` in the body's frame; None: nobody knows.
+            increment: ``(D,)`` in the body's frame; None: the motion is unknown.
         """
         if increment is None:
             return self.walk_position, self.walk_heading
         translation_squared = float(np.sum(increment[: space.positions] ** 2))
-        turn_squared = float(np.sum(increment[space.positions :] ** 2))
+        angle_squared = float(np.sum(increment[space.positions :] ** 2))
         position_variance = (
-            self.alpha3 * translation_squared + self.alpha4 * turn_squared + self.position_floor**2
+            self.alpha3 * translation_squared + self.alpha4 * angle_squared + self.position_floor**2
         )
         heading_variance = (
-            self.alpha1 * turn_squared + self.alpha2 * translation_squared + self.heading_floor**2
+            self.alpha1 * angle_squared + self.alpha2 * translation_squared + self.heading_floor**2
         )
         return math.sqrt(position_variance), math.sqrt(heading_variance)
 
@@ -107,9 +107,9 @@ def predict(
 
     Args:
         space: what a state is.
-        states: ``(M, D)``.
+        states: ``(M, D)`` of the particles.
         increment: ``(D,)`` as measured by odometry, in the body's frame; None: a random walk.
-        model: the noise.
+        model: how large the noise is.
         rng: source of the draws; the same number is consumed whatever the noise.
         scale: factor on all standard deviations (a wide belief is searched with more noise).
 
@@ -120,6 +120,6 @@ def predict(
     if not (np.isfinite(scale) and scale >= 0.0):
         raise OptionError(f"noise scale {scale:g} is not 0 or more")
     position_sigma, heading_sigma = model.standard_deviations(space, motion)
-    spread = scale * np.array([position_sigma] * space.positions + [heading_sigma] * space.angles)
+    spread = scale * sigmas_of(space, position_sigma, heading_sigma)
     noise = spread * rng.standard_normal((len(states), space.dimension))
     return space.composed(states, noise if motion is None else motion + noise)

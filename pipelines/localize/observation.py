@@ -6,8 +6,9 @@ frames they are left out of the comparison (NaN). A bare wall may keep its colou
 lost with it, since it tells no place from another. Where a mask says so, pixels are left out from
 the first image on, whatever they show.
 
-To weigh particles, some of the pixels are enough: those of a lattice that has as many in every row
-and column, another one for each image, so that all pixels have their turn.
+To weight particles, some of the pixels are enough. A subsampling pattern holds one pixel in a few,
+as many of them in every row and column; it is shifted from image to image, so that each pixel is
+compared in turn.
 """
 
 import functools
@@ -39,29 +40,31 @@ SMALLEST_FIXED_SHARE = 0.05
 LARGEST_MASKED_SHARE = 0.01
 # Images are the same when less than this share of the colours differs by more than so many levels.
 SAME_LEVELS, SAME_SHARE, SAME_WIDTH = 2, 0.005, 160
-# One pixel in so many -> how far a row's pixels stand aside from those of the row above.
-LATTICES = MappingProxyType({1: 0, 2: 1, 3: 1, 5: 2})
-# Fewer pixels than this are all compared, or more of them.
+# Subsampling patterns: one pixel in so many -> columns by which each row is shifted against the
+# row above.
+SUBSAMPLING_SHIFTS = MappingProxyType({1: 0, 2: 1, 3: 1, 5: 2})
+# At least so many pixels are compared, where an image has them.
 FEWEST_COMPARED = 240
 
 
-def lattice(shape: tuple[int, int], step: int, shift: int, number: int) -> BoolArray:
-    """The ``number``-th of the lattices that hold one pixel in ``step`` of each row.
+def subsampling_mask(shape: tuple[int, int], step: int, shift: int, number: int) -> BoolArray:
+    """Which pixels ``shape`` a subsampling pattern holds: one in ``step`` of each row.
 
     Args:
         shape: rows and columns of the image.
         step: columns from one pixel to the next.
-        shift: how far a row's pixels stand aside from those of the row above.
-        number: counted round and round: after ``step`` of them each pixel was in one.
+        shift: columns by which each row is shifted against the row above.
+        number: which of the ``step`` patterns that together hold each pixel once; counted modulo
+            ``step``.
     """
     rows, columns = np.indices(shape)
     return np.asarray((columns + shift * rows) % step == number % step)
 
 
 @functools.lru_cache(maxsize=32)
-def _kept_lattice(shape: tuple[int, int], step: int, number: int) -> BoolArray:
-    """A lattice of the filter, which is not changed."""
-    return lattice(shape, step, LATTICES[step], number)
+def _cached_mask(shape: tuple[int, int], step: int, number: int) -> BoolArray:
+    """The pixels of one of the filter's patterns; not to be changed."""
+    return subsampling_mask(shape, step, SUBSAMPLING_SHIFTS[step], number)
 
 
 @dataclass(frozen=True)
@@ -72,7 +75,7 @@ class Observation:
         image: ``(H, W, 3)`` RGB, undistorted and area-averaged; NaN where it does not show the
             scene.
         intrinsics: of that image.
-        number: which of the images it is, as they come.
+        number: of the image, counted from the first; it selects the subsampling pattern.
     """
 
     image: Float32Array
@@ -85,29 +88,31 @@ class Observation:
         return ~np.isnan(self.image[..., 0])
 
     @functools.cached_property
-    def _kept_channels(self) -> dict[Channels, "Observation"]:
+    def _cached_channels(self) -> dict[Channels, "Observation"]:
         return {}
 
     def in_channels(self, channels: Channels) -> "Observation":
-        """The same image in other channels; made once."""
+        """The same image in other channels; computed once."""
         if channels is Channels.COLOUR:
             return self
-        if channels not in self._kept_channels:
+        if channels not in self._cached_channels:
             made = channel_image(self.image, channels, self.used)
             made[~self.used] = np.nan
-            self._kept_channels[channels] = Observation(made, self.intrinsics, self.number)
-        return self._kept_channels[channels]
+            self._cached_channels[channels] = Observation(made, self.intrinsics, self.number)
+        return self._cached_channels[channels]
 
-    def thinned(self, one_in: int) -> Float32Array:
-        """The image ``(H, W, 3)`` with NaN at all but one in so many pixels, a key of ``LATTICES``.
+    def subsampled(self, one_in: int) -> Float32Array:
+        """The image ``(H, W, 3)`` with NaN at all pixels that are not compared.
 
-        Fewer are left out where less than ``FEWEST_COMPARED`` would remain.
+        Args:
+            one_in: one in so many pixels is compared, a key of ``SUBSAMPLING_SHIFTS``; more of them
+                where fewer than ``FEWEST_COMPARED`` would remain.
         """
         height, width = self.image.shape[:2]
         usable = int(np.count_nonzero(self.used))
-        able = [step for step in LATTICES if usable >= step * FEWEST_COMPARED]
+        able = [step for step in SUBSAMPLING_SHIFTS if usable >= step * FEWEST_COMPARED]
         step = max((step for step in able if step <= one_in), default=1)
-        is_compared = _kept_lattice((height, width), step, self.number % step)
+        is_compared = _cached_mask((height, width), step, self.number % step)
         return np.where(is_compared[..., None], self.image, np.float32(np.nan))
 
 
@@ -119,17 +124,21 @@ class Observations:
         by_width: width in pixels -> the image.
         contrast: standard deviation of the grey levels in the coarsest, without what a mask leaves
             out.
-        uncovers: whether so much was left out for the first time that what was concluded from
-            earlier images may be wrong.
-        is_repeated: whether it is the image before, once more.
-        is_stale: whether it is, although the body has moved: the camera hangs.
+        is_newly_masked: whether so many pixels were found to be fixed to the camera for the first
+            time that what was concluded from earlier images may be wrong.
+        is_repeated: whether it is the same image as the one before.
+        is_stale: whether it is the same although the body has moved: the camera hangs.
     """
 
     by_width: Mapping[int, Observation]
     contrast: float
-    uncovers: bool = False
+    is_newly_masked: bool = False
     is_repeated: bool = False
     is_stale: bool = False
+
+    def widths_from(self, least: int) -> list[int]:
+        """The widths of at least so many pixels, rising."""
+        return sorted(width for width in self.by_width if width >= least)
 
     @property
     def is_informative(self) -> bool:
@@ -185,11 +194,11 @@ class Observer:
         }
         coarsest, used = sizes[min(sizes)], self._used[min(sizes)]
         contrast = float(np.std(coarsest.mean(axis=2)[used]))
-        uncovers = False
+        is_newly_masked = False
         if contrast >= SMALLEST_CONTRAST and not is_repeated:
             fixed = self._fixed(coarsest, used)
             share = float(fixed[used].mean())
-            uncovers = share >= SMALLEST_FIXED_SHARE > self._fixed_share
+            is_newly_masked = share >= SMALLEST_FIXED_SHARE > self._fixed_share
             self._fixed_share = max(self._fixed_share, share)
             for small in sizes.values():
                 height, width = small.shape[:2]
@@ -201,7 +210,7 @@ class Observer:
             for width, small in sizes.items()
         }
         self._number += 1
-        return Observations(by_width, contrast, uncovers, is_repeated)
+        return Observations(by_width, contrast, is_newly_masked, is_repeated)
 
     def _fixed(self, image: Float32Array, used: BoolArray) -> BoolArray:
         """Pixels ``(H, W)``, among the used ones, that kept their colours in all images so far."""

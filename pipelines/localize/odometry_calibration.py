@@ -1,9 +1,8 @@
-"""What the filter learns while it runs: how odometry errs.
+"""Online calibration of odometry: its systematic error and the size of its noise.
 
-``OdometryCalibration`` compares the motion between two estimates with what odometry said. What
-errs in the same way all the time (wheels worn down, a bias of the gyroscope) is a linear function
-of the motion, estimated by recursive least squares with forgetting, and is taken off; what is left
-sets the noise of the motion model, up or down.
+The motion between two estimates is compared with the increment of odometry. The systematic error
+(worn wheels, a biased gyroscope) is taken to be linear in the motion, and is estimated by recursive
+least squares with forgetting. The size of what remains scales the noise of the motion model.
 """
 
 from dataclasses import dataclass, replace
@@ -12,13 +11,14 @@ import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray
 
-# How fast what was learned is forgotten, a frame.
+# Weight of the past in the least squares, from one frame to the next.
 FORGETTING = 0.95
-# A linear error is expected to be about so large, and a single motion is estimated so well
-# (metres or radians): the ridge of the least squares.
+# Expected size of the linear error, and standard deviation of one motion's estimate (metres or
+# radians): their ratio regularises the least squares.
 EXPECTED_ERROR, MEASUREMENT_SIGMA = 0.15, 0.03
+# Share of the latest frame in the noise scale.
 NOISE_RATE = 0.2
-# A surprise beyond this is no error of odometry: the estimate has jumped to another place.
+# A normalised error beyond this is none of odometry: the estimate has jumped to another place.
 LARGEST_SURPRISE = 25.0
 SMALLEST_NOISE_SCALE, LARGEST_NOISE_SCALE = 0.5, 3.0
 
@@ -28,8 +28,8 @@ class OdometryCalibration:
     """The error of odometry, as far as it is known.
 
     Attributes:
-        information: ``(D, D)`` weighted sum of products of motions.
-        moments: ``(D, D)`` likewise of motions with errors.
+        information: ``(D, D)`` weighted sum of the outer products of increments.
+        moments: ``(D, D)`` weighted sum of the outer products of increments and errors.
         noise_scale: factor on the motion model's standard deviations.
     """
 
@@ -39,12 +39,12 @@ class OdometryCalibration:
 
     @property
     def correction(self) -> FloatArray:
-        """``(D, D)``: the error, a motion's unit."""
+        """``(D, D)`` matrix that takes an increment to its systematic error."""
         ridge = (MEASUREMENT_SIGMA / EXPECTED_ERROR) ** 2 * np.eye(len(self.information))
         return np.asarray(np.linalg.solve(self.information + ridge, self.moments).T)
 
     def corrected(self, increment: FloatArray) -> FloatArray:
-        """What odometry would have said without its systematic error, ``(D,)``."""
+        """An increment ``(D,)`` without its systematic error."""
         return np.asarray(increment + self.correction @ increment, dtype=np.float64)
 
     def learned(
@@ -53,10 +53,10 @@ class OdometryCalibration:
         """The calibration after one more motion.
 
         Args:
-            increment: ``(D,)`` as odometry said.
+            increment: ``(D,)`` by odometry.
             error: ``(D,)`` the estimated motion minus the increment.
-            surprise: squared difference between estimate and prediction over what was expected of
-                it; 1 on average where the noise is right.
+            surprise: normalised error squared: the squared difference between estimated and
+                corrected motion over its expectation; 1 on average where the noise is right.
         """
         wanted = np.clip(surprise, SMALLEST_NOISE_SCALE**2, LARGEST_NOISE_SCALE**2)
         variance = self.noise_scale**2 + NOISE_RATE * (wanted - self.noise_scale**2)

@@ -1,8 +1,8 @@
 """What one image can decide between places, and what only several images together can.
 
 Within a place, a view fits or does not, and an image says where the robot stands to a centimetre.
-Between places it says less than the sum over its pixels makes believe: three doors look alike, a
-person hides what would tell them apart, and such errors are common to all pixels of an image. So an
+Between places it says less than the sum over its pixels suggests: three doors look alike, a person
+hides what would tell them apart, and such errors are common to all pixels of an image. So an
 image's evidence for a place as a whole is compressed,
 
     c log(1 + evidence / c),
@@ -48,16 +48,16 @@ def places_of(space: StateSpace, hypotheses: FloatArray) -> IntArray:
     return np.unique(np.argmax(joined, axis=1), return_inverse=True)[1].astype(np.int64) + 1
 
 
-def labelled(
+def place_labels(
     space: StateSpace, states: FloatArray, hypotheses: FloatArray, places: IntArray
 ) -> IntArray:
     """Which place each of the states ``(M, D)`` belongs to, ``(M,)``.
 
     Args:
         space: what a state is.
-        states: of the particles.
+        states: ``(M, D)`` of the particles.
         hypotheses: ``(K, D)``.
-        places: ``(K,)`` see ``places_of``.
+        places: ``(K,)`` number of the place of each hypothesis, from 1.
 
     Returns:
         Numbers of places; 0 for states near none of the hypotheses.
@@ -81,7 +81,7 @@ def log_priors(space: StateSpace, log_densities: FloatArray, places: IntArray) -
     Args:
         space: what a state is.
         log_densities: ``(K,)`` of the prior at the hypotheses.
-        places: ``(K,)`` see ``places_of``.
+        places: ``(K,)`` number of the place of each hypothesis, from 1.
     """
     volume = math.pi * PLACE_POSITION**2 * 2.0 * PLACE_ANGLE
     if space.angles == 3:
@@ -103,7 +103,7 @@ def _distances(
 
 
 @dataclass(frozen=True)
-class Weighed:
+class PlaceWeighting:
     """What an image makes of weighted particles.
 
     Attributes:
@@ -119,9 +119,9 @@ class Weighed:
     largest: float
 
 
-def weighed(
+def weighted_by_place(
     log_prior: FloatArray, evidence: FloatArray, labels: IntArray, log_place_priors: FloatArray
-) -> Weighed:
+) -> PlaceWeighting:
     """Posterior weights with an image's evidence compressed between places.
 
     Within a place weights are prior times evidence. Their sum over the prior of the place is the
@@ -132,8 +132,9 @@ def weighed(
         log_prior: ``(M,)`` weights of the particles before the image, which add up to 1 on average
             over the particles that might have been drawn.
         evidence: ``(M,)`` of the image at the particles.
-        labels: ``(M,)`` see ``labelled``.
-        log_place_priors: ``(P + 1,)`` see ``log_priors``.
+        labels: ``(M,)`` number of the place of each particle; 0: near no hypothesis.
+        log_place_priors: ``(P + 1,)`` logarithm of the prior probability of each place, by its
+            number.
 
     Raises:
         StageError: evidence that is NaN or +inf: the comparison is broken.
@@ -158,4 +159,4 @@ def weighed(
         loss[labels == 0] = loss_of_best
     seen = np.isin(labels, numbers)
     marginal = float(compressed(float(log_sum(exact[seen]))))
-    return Weighed(exact - loss, marginal, largest)
+    return PlaceWeighting(exact - loss, marginal, largest)

@@ -1,10 +1,9 @@
-"""The classical way beside the light field: where SIFT and perspective-n-point say the camera is.
+"""Localization by features, for comparison with the light field: SIFT and perspective-n-point.
 
-Features of the scene's photos that have a place in the world (``landmarks``) are matched with those
-of a camera image, and the pose is computed from the pairs. At least ``MIN_INLIERS`` features have
-to agree on it, else there is no pose: nothing stands in for it, no earlier pose and no photo's.
-
-Features, matches and the camera's pose come from ``feature_pose``; here they become the body's.
+Features of the scene's photos that are landmarks (``landmarks``) are matched with those of a camera
+image, and the camera's pose is computed from the pairs (``feature_pose``). Here it becomes the
+body's. At least ``MIN_INLIERS`` features have to agree on it; otherwise there is no pose, and
+neither an earlier pose nor a photo's is given in its place.
 """
 
 import math
@@ -27,24 +26,24 @@ from pipelines.localize.observation import check_mask
 from pipelines.localize.state_space import StateSpace
 from pipelines.reconstruct.reconstruction import Reconstruction
 
-# Random matches came back with five features that agree; chance does not make thirty.
+# Random matches agreed on a pose with up to five features; thirty do not agree by chance.
 MIN_INLIERS = 30
 MAX_SIZE = 960
 MAX_FEATURES = 2048
 MAX_THREADS = 16
 MAX_SEED = 2**31 - 1
-# A robot on the floor neither hovers nor leans: such a pose is wrong, metres and radians.
+# A robot on the floor neither hovers nor leans: poses beyond this are wrong, metres and radians.
 LARGEST_HEIGHT, LARGEST_TILT = 0.3, math.radians(10.0)
 
 
 @dataclass(frozen=True)
 class PnpAnswer:
-    """What perspective-n-point says of one image.
+    """The pose by features of one image.
 
     Attributes:
         state: ``(D,)`` of the body; None: no pose.
-        covariance: ``(D, D)`` of its error, if every landmark is where it is thought to be; None
-            where there is no pose.
+        covariance: ``(D, D)`` of its error, if landmarks were exact; None where there is no
+            pose.
         inliers: features of the image that agree on the pose.
         matches: features that match a landmark.
         seconds: wall time.
@@ -58,7 +57,7 @@ class PnpAnswer:
 
     @property
     def confidence(self) -> float:
-        """0 to 1, rising with the inliers n: n / (n + 30); 0 without a pose."""
+        """N / (n + 30) of n inliers, 0 to 1; 0 without a pose."""
         return 0.0 if self.state is None else self.inliers / (self.inliers + MIN_INLIERS)
 
     @property
@@ -77,12 +76,12 @@ class PnpLocalizer:
         camera: of the robot.
         body_from_camera: ``(4, 4)`` its mount.
         space: what a state is. In ``planar`` the pose is projected to the floor; one that hovers or
-            leans is none.
+            leans is rejected.
         seed: of RANSAC.
-        threads: at most; None: all processors.
-        reconstruction: whose points are the landmarks; None: places on the scene's surface are.
+        threads: the most that are used; None: one a processor.
+        reconstruction: whose points are the landmarks; None: points of the scene's surface are.
         reconstruction_path: how errors name it.
-        progress: shown while the features of the photos are sought.
+        progress: shown while the features of the photos are detected.
         mask: ``(height, width)``, True where images of the camera are to be used; None: everywhere.
 
     Raises:
@@ -143,7 +142,7 @@ class PnpLocalizer:
         return PnpAnswer(state, covariance, found.inliers, found.matches, seconds)
 
     def _of_body(self, found: FoundPose) -> tuple[FloatArray, FloatArray] | tuple[None, None]:
-        """State and covariance of the body; nothing where a robot on the floor cannot be so."""
+        """State and covariance of the body; None where a robot on the floor cannot be there."""
         camera_from_world = found.camera_from_world
         if camera_from_world is None or found.covariance is None:
             return None, None
@@ -154,22 +153,27 @@ class PnpLocalizer:
         is_planar = self._space.angles == 1
         if is_planar and not _is_on_floor(pose):
             return None, None
-        arm = pose[:3, 3] - world_from_camera[:3, 3]
-        covariance = covariance_at(arm, found.covariance)
+        lever = pose[:3, 3] - world_from_camera[:3, 3]
+        covariance = covariance_at(lever, found.covariance)
         if is_planar:
             kept = [0, 1, 5]
             covariance = covariance[np.ix_(kept, kept)]
         return self._space.states(pose), covariance
 
 
-def covariance_at(arm: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Covariance ``(6, 6)`` of place and turn at the end of an arm ``(3,)`` from the camera.
+def covariance_at(lever: FloatArray, covariance: FloatArray) -> FloatArray:
+    """The pose covariance of the camera taken to another point of the same rigid body.
 
-    Both covariances, and the arm, are in world axes; what is at the end turns with the camera.
+    Args:
+        lever: ``(3,)`` from the camera's centre to the point, metres, world axes.
+        covariance: ``(6, 6)`` of the camera's position and rotation, world axes.
+
+    Returns:
+        ``(6, 6)`` of the point's position and rotation.
     """
     transfer = np.eye(6)
-    # A small turn w moves the end by w x arm.
-    transfer[:3, 3:] = np.cross(np.eye(3), arm).T
+    # A small rotation w moves the point by w x lever.
+    transfer[:3, 3:] = np.cross(np.eye(3), lever).T
     return np.asarray(transfer @ covariance @ transfer.T)
 
 

@@ -1,4 +1,4 @@
-"""What perspective-n-point says of a frame, in the terms of a run file."""
+"""Poses by features as frames of a run."""
 
 from dataclasses import replace
 
@@ -9,9 +9,10 @@ from pipelines.localize.belief import Belief, Region, uniform_belief
 from pipelines.localize.pnp import PnpAnswer
 from pipelines.localize.run import PNP_ESTIMATE, FrameRecord
 from pipelines.localize.settings import LocalizerSettings
+from pipelines.localize.state_space import sigmas_of
 
-# Places of features err together where the map does: reprojection errors' standard deviations times
-# this cover the truth as often as they should.
+# Landmarks err together where the map does: standard deviations by reprojection errors, times this,
+# cover the truth as often as they should.
 MODEL_ERROR = 3.3
 
 
@@ -23,16 +24,16 @@ def pnp_record(
     timestamp: float,
     image_name: str,
 ) -> FrameRecord:
-    """The record of a frame that nothing but its features located.
+    """The record of a frame that is localized by its features alone.
 
     With a pose the belief is that one pose. Without, the frame is "lost" and has no estimate; the
-    belief is then what is known: the body is anywhere in the region.
+    belief is then uniform over the region.
 
     Args:
-        answer: what the features say.
+        answer: the pose by features.
         region: where the body may be.
-        settings: how many states stand for "anywhere", and how accurate the map is.
-        rng: draws them.
+        settings: number of particles of a uniform belief, and accuracy of the map.
+        rng: draws these particles.
         timestamp: seconds.
         image_name: as in the data set.
     """
@@ -47,8 +48,8 @@ def pnp_record(
         belief = Belief(answer.state[None], np.zeros(1))
         estimates = {PNP_ESTIMATE: answer.state}
         modes = np.append(answer.state, 1.0)[None]
-        # Landmarks are not quite where they are thought to be, and many err alike.
-        covariance = MODEL_ERROR**2 * answer.covariance + _map_covariance(settings)
+        map_sigmas = sigmas_of(space, settings.map_position_sigma, settings.map_heading_sigma)
+        covariance = MODEL_ERROR**2 * answer.covariance + np.diag(np.square(map_sigmas))
     return FrameRecord(
         timestamp=timestamp,
         image_name=image_name,
@@ -65,15 +66,15 @@ def pnp_record(
 
 
 def beside(record: FrameRecord, answer: PnpAnswer, *, noted: bool) -> FrameRecord:
-    """A frame of the filter with the time that the features took and, where noted, their pose."""
+    """A frame of the filter with the time that the pose by features took.
+
+    Args:
+        record: what the filter made of the frame.
+        answer: the pose by features.
+        noted: whether the pose becomes one of the frame's estimates.
+    """
     estimates = dict(record.estimates)
     if noted and answer.state is not None:
         estimates[PNP_ESTIMATE] = answer.state
     seconds = {**record.seconds, PNP_ESTIMATE: answer.seconds}
     return replace(record, estimates=estimates, seconds=seconds)
-
-
-def _map_covariance(settings: LocalizerSettings) -> FloatArray:
-    space = settings.state_space
-    sigmas = [settings.map_position_sigma] * space.positions
-    return np.diag(np.square(sigmas + [settings.map_heading_sigma] * space.angles))

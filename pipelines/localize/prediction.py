@@ -7,10 +7,9 @@ distributions around the moved particles. A part of it, ``anywhere_share``, is u
 region: all of it when nobody knows where the robot is, a little when it may have been carried away
 (sensor resetting; Thrun, Burgard, Fox, *Probabilistic Robotics*, section 8.3.3).
 
-Where nobody knows the motion, it is taken to go on as between the last two images, and the prior is
-widened until the image is explained. An image that is explained much less than images usually are
-proves no place, however much better it fits there than elsewhere: far away something may look like
-it.
+Odometry moves the particles, less the systematic errors that have been learnt of it
+(``odometry_calibration``). Where nobody knows the motion, a constant velocity model takes it to go
+on as between the last two images, and the prior is widened until the image is explained.
 """
 
 import math
@@ -19,27 +18,30 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray
-from pipelines.localize.belief import Region
+from pipelines.localize.belief import Belief, Region
+from pipelines.localize.motion import checked_increment
+from pipelines.localize.odometry_calibration import uncalibrated
 from pipelines.localize.resampling import resample
-from pipelines.localize.state_space import StateSpace
+from pipelines.localize.settings import LocalizerSettings
+from pipelines.localize.state_space import StateSpace, magnitudes, sigmas_of
 from pipelines.native import log_mixture_density
 
 # Noise below this would make the density a row of needles; metres and radians.
 SMALLEST_POSITION_SIGMA, SMALLEST_ANGLE_SIGMA = 1e-3, 1e-3
-# Pairs of states are worked on in blocks of so many, so that memory stays bounded.
-PAIRS_TOGETHER = 4_000_000
-# The motion goes on as between the last two images, give or take this share of it.
+# Pairs of states are evaluated in chunks of so many, so that memory stays bounded.
+PAIRS_IN_A_CHUNK = 4_000_000
+# Standard deviation of the constant velocity model, as a share of the motion that goes on.
 SPEED_CHANGE = 0.5
-# While the image does not fit, so many times that is tried, so often, at most as far as this angle:
-# a hand turns a camera by half its view in a moment.
-SPEED_GROWTH, SPEED_GROWTHS = 4.0, 2
+# The prior is widened by this factor, so often, at most to this angle: a hand rotates a camera by
+# half its view between two images.
+WIDENING, WIDENINGS = 4.0, 2
 LARGEST_WALK_ANGLE = math.pi / 2.0
-# The body may be anywhere with this probability, twice that while the image does not fit. Every
-# image is looked up all over the map as well, though more briefly.
-UNKNOWN_MOTION_SHARE, UNKNOWN_MOTION_SEARCHED = 0.1, 8
-# An image that is explained less than the first share of how well images usually are does not fit
-# yet; less than the second, and it proves no place.
-FITTING_SHARE, PROVING_SHARE = 0.7, 0.5
+# Where nobody knows the motion the body may be anywhere with this probability, twice that once the
+# prior is widened.
+UNKNOWN_MOTION_SHARE = 0.1
+# Standard deviation of an estimate, metres and radians: what two of them contribute to the error of
+# the motion between them.
+ESTIMATE_POSITION, ESTIMATE_ANGLE = 0.02, math.radians(0.5)
 
 
 @dataclass(frozen=True)
@@ -48,12 +50,15 @@ class Prediction:
 
     Attributes:
         space: what a state is.
-        centres: ``(N, D)`` the particles of the last frame, moved by odometry without noise.
+        centres: ``(N, D)`` the particles of the last frame, moved without noise.
         log_weights: ``(N,)`` normalised.
-        position_sigma: of the motion's noise along each axis, metres.
-        angle_sigma: of its angles, radians.
+        position_sigma: standard deviation of the motion's noise along each axis, metres.
+        angle_sigma: standard deviation of its noise in each angle, radians.
         region: where the body may be if it was carried away.
         anywhere_share: probability of that, 0 to 1.
+        motion: ``(D,)`` the measured motion, without odometry's known errors; None: before the
+            first image, or nobody knows.
+        is_start: whether no image has come before.
     """
 
     space: StateSpace
@@ -63,17 +68,35 @@ class Prediction:
     angle_sigma: float
     region: Region
     anywhere_share: float
+    motion: FloatArray | None = None
+    is_start: bool = False
+
+    @property
+    def is_walk(self) -> bool:
+        """Whether a belief is carried on without knowing the motion."""
+        return self.motion is None and not self.is_start
+
+    @property
+    def is_search(self) -> bool:
+        """Whether there is a reason to search everywhere, beyond the motion being unknown."""
+        return self.is_start or self.anywhere_share > (
+            UNKNOWN_MOTION_SHARE if self.is_walk else 0.0
+        )
 
     def sample(self, count: int, scheme: str, rng: np.random.Generator) -> FloatArray:
-        """Draws ``(count, D)`` states; the uniform part gets its share of them exactly."""
+        """Draws ``(count, D)`` states; the uniform part gets its share of them exactly.
+
+        Args:
+            count: how many.
+            scheme: how particles are resampled, a key of ``resampling.SCHEMES``.
+            rng: source of the draws.
+        """
         anywhere = round(self.anywhere_share * count)
         uniform = self.space.uniform(self.region.low, self.region.high, anywhere, rng)
         if anywhere == count:
             return uniform
         chosen = self.centres[resample(self.log_weights, count - anywhere, scheme, rng)]
-        spread = np.array(
-            [self.position_sigma] * self.space.positions + [self.angle_sigma] * self.space.angles
-        )
+        spread = sigmas_of(self.space, self.position_sigma, self.angle_sigma)
         noise = spread * rng.standard_normal(chosen.shape)
         return np.concatenate([self.space.moved(chosen, noise), uniform])
 
@@ -87,11 +110,11 @@ class Prediction:
         anywhere = anywhere + self.region.log_density(self.space)
         if self.anywhere_share >= 1.0:
             return anywhere
-        block = max(1, PAIRS_TOGETHER // len(self.centres))
+        chunk = max(1, PAIRS_IN_A_CHUNK // len(self.centres))
         near = np.concatenate(
             [
-                self._log_density_of_motion(states[start : start + block])
-                for start in range(0, len(states), block)
+                self._log_density_of_motion(states[start : start + chunk])
+                for start in range(0, len(states), chunk)
             ]
         )
         combined = np.logaddexp(math.log1p(-self.anywhere_share) + near, anywhere)
@@ -113,12 +136,108 @@ class Prediction:
         normal += 0.5 * space.dimension * math.log(2.0 * math.pi)
         return np.asarray(densities - normal, dtype=np.float64)
 
+    def widened(self, anywhere_share: float) -> "Prediction":
+        """The prior when the image does not fit where the body was thought to be.
 
-def widened(prediction: Prediction, anywhere_share: float) -> Prediction:
-    """The prior when the image does not fit where the body was thought to be."""
-    return replace(
-        prediction,
-        position_sigma=SPEED_GROWTH * prediction.position_sigma,
-        angle_sigma=min(SPEED_GROWTH * prediction.angle_sigma, LARGEST_WALK_ANGLE),
-        anywhere_share=max(anywhere_share, 2.0 * UNKNOWN_MOTION_SHARE),
-    )
+        Args:
+            anywhere_share: probability that it is anywhere in the region; more where the motion is
+                unknown.
+        """
+        return replace(
+            self,
+            position_sigma=WIDENING * self.position_sigma,
+            angle_sigma=min(WIDENING * self.angle_sigma, LARGEST_WALK_ANGLE),
+            anywhere_share=max(anywhere_share, 2.0 * UNKNOWN_MOTION_SHARE),
+        )
+
+
+class MotionPredictor:
+    """Carries beliefs on by the motion between images, and learns how odometry errs.
+
+    Args:
+        space: what a state is.
+        region: where the body may be.
+        settings: of the particle filter: motion model, start pose and its uncertainty.
+    """
+
+    def __init__(self, space: StateSpace, region: Region, settings: LocalizerSettings) -> None:
+        self._space = space
+        self._region = region
+        self._settings = settings
+        self._calibration = uncalibrated(space.dimension)
+        self._increment: FloatArray | None = None
+        self._velocity: FloatArray | None = None
+        self._estimate: FloatArray | None = None
+        self._last_estimate: FloatArray | None = None
+
+    def start(self) -> Prediction:
+        """Before the first image: around the start pose, or anywhere."""
+        settings, space = self._settings, self._space
+        start = np.zeros(space.dimension) if settings.start is None else np.array(settings.start)
+        return Prediction(
+            space,
+            start[None],
+            np.zeros(1),
+            settings.start_position_sigma,
+            settings.start_heading_sigma,
+            self._region,
+            1.0 if settings.start is None else 0.0,
+            is_start=True,
+        )
+
+    def predicted(
+        self, belief: Belief, increment: FloatArray | None, anywhere_share: float
+    ) -> Prediction:
+        """After the motion since the image before.
+
+        Args:
+            belief: after that image.
+            increment: ``(D,)`` as odometry measured it, in the body's frame; None: nobody knows.
+            anywhere_share: probability that the body is anywhere in the region instead.
+        """
+        space = self._space
+        self._increment = checked_increment(space, increment)
+        self._last_estimate, self._estimate = self._estimate, None
+        centres, motion, scale = belief.states, None, 1.0
+        position_sigma, angle_sigma = self._settings.motion.standard_deviations(space, increment)
+        if self._increment is not None:
+            motion = self._calibration.corrected(self._increment)
+            centres = space.composed(centres, motion)
+            scale = self._calibration.noise_scale
+        elif self._velocity is not None:
+            centres = space.composed(centres, self._velocity)
+            metres, radians = magnitudes(space, self._velocity)
+            position_sigma = max(position_sigma, SPEED_CHANGE * metres)
+            angle_sigma = max(angle_sigma, SPEED_CHANGE * radians)
+        return Prediction(
+            space,
+            centres,
+            belief.log_weights,
+            scale * position_sigma,
+            scale * angle_sigma,
+            self._region,
+            anywhere_share,
+            motion,
+        )
+
+    def learn(self, estimate: FloatArray) -> None:
+        """Compares the motion between two estimates with odometry; without any, keeps it.
+
+        Args:
+            estimate: ``(D,)`` the best of this frame.
+        """
+        space, before, increment = self._space, self._last_estimate, self._increment
+        self._estimate = estimate
+        if before is None:
+            return
+        poses = space.poses(np.stack([before, estimate]))
+        moved = space.increment(poses[0], poses[1])
+        if increment is None:
+            self._velocity = moved
+            return
+        error = space.difference(moved, increment)
+        left = error - self._calibration.correction @ increment
+        sigmas = sigmas_of(space, *self._settings.motion.standard_deviations(space, increment))
+        expected = sigmas**2 + sigmas_of(space, ESTIMATE_POSITION, ESTIMATE_ANGLE) ** 2
+        surprise = float(np.mean(left**2 / expected))
+        self._calibration = self._calibration.learned(increment, error, surprise)

@@ -28,7 +28,7 @@ from pipelines.artifacts.safe_hdf5 import (
     write_json,
     write_schema,
 )
-from pipelines.geometry.camera import Camera
+from pipelines.geometry.camera import Camera, camera_from_dict
 from pipelines.localize.belief import Belief
 from pipelines.localize.docking_record import DockingRecord, read_docking, write_docking
 from pipelines.localize.state_space import StateSpace, state_space_of_dimension
@@ -38,11 +38,11 @@ SCHEMA_VERSION = 2
 STATUSES = ("global", "tracking", "blind", "stale", "lost")
 # Of images that say nothing of where the body is: odometry alone carries the pose on.
 BY_ODOMETRY = ("blind", "stale")
-# What an alignment starts from is the answer where there is none: in a search, without an image.
+# Estimate -> its fallback in frames without it: in a search, or for a blind image, none is aligned.
 STAND_INS = {"refined": "mode"}
-# The first of these that the frames have stands for the run where nobody asks for another one.
+# The default estimate of a run is the first of these that the frames have.
 ESTIMATE_PREFERENCE = ("refined", "mode", "mean", "max_weight")
-# The pose by features; beside the filter it stands for itself alone, never for the run.
+# The pose by features; where it only runs beside the filter it is never the default.
 PNP_ESTIMATE = "pnp"
 MAX_IMAGE_BYTES = 256 * 1024 * 1024
 SECONDS_PREFIX = "seconds_"
@@ -63,7 +63,7 @@ class FrameRecord:
         estimates: name -> state ``(D,)``; empty where no estimate can be given (lost).
         modes: ``(K, D + 1)`` state and share of the weight; heaviest first.
         covariance: ``(D, D)`` of the heaviest mode.
-        effective_sample_size: of the weights.
+        effective_sample_size: 1 / sum of the squared weights.
         confidence: 0 to 1; of the filter the probability that the estimate is within 0.1 m and 3
             degrees of the truth.
         status: one of ``STATUSES``: still searching, following one place, following it by odometry
@@ -129,7 +129,7 @@ class Run:
         camera: its camera.
         base_from_camera: ``(4, 4)`` the camera's mount.
         settings: the filter's settings, plain JSON types. A text ``estimate`` among them names the
-            estimate that stands for the run.
+            default estimate.
         seed: of the random numbers.
         frames: at least one, in order of time.
         encoded_images: the camera images' file content, one a frame, as recorded.
@@ -205,13 +205,13 @@ class Run:
 
     @property
     def own_estimate_names(self) -> tuple[str, ...]:
-        """The same without PnP where that only ran beside the filter."""
+        """Names of the estimates, sorted, without PnP where that only ran beside the filter."""
         is_own = self.settings.get("method") == "pnp"
         return tuple(name for name in self.estimate_names if is_own or name != PNP_ESTIMATE)
 
     @property
     def default_estimate(self) -> str:
-        """The estimate that stands for the run: from the settings, else the finest there is.
+        """The default estimate: the one that the settings name, else the finest there is.
 
         Raises:
             OptionError: no frame has an estimate.
@@ -290,12 +290,7 @@ def save_run(path: Path, run: Run, overwrite: bool) -> None:
             "scene_identifier": run.scene_identifier,
             "scene_path": run.scene_path,
             "dataset_name": run.dataset_name,
-            "camera": {
-                "model": run.camera.model,
-                "width": run.camera.width,
-                "height": run.camera.height,
-                "params": list(run.camera.params),
-            },
+            "camera": run.camera.to_dict(),
             "settings": dict(run.settings),
             "seed": run.seed,
             "frames": len(run.frames),
@@ -359,7 +354,6 @@ def _write_frame(group: Any, frame: FrameRecord, image: bytes) -> None:
 
 def _read_run(file: SafeFile) -> Run:
     header = file.read_json("run")
-    camera = header["camera"]
     count = int(header["frames"])
     if count != len(file.names("frames")):
         raise InputError(file.path, f"declares {count} frames, has {len(file.names('frames'))}")
@@ -372,12 +366,7 @@ def _read_run(file: SafeFile) -> Run:
         scene_identifier=str(header["scene_identifier"]),
         scene_path=str(header["scene_path"]),
         dataset_name=str(header["dataset_name"]),
-        camera=Camera(
-            str(camera["model"]),
-            int(camera["width"]),
-            int(camera["height"]),
-            tuple(float(value) for value in camera["params"]),
-        ),
+        camera=camera_from_dict(header["camera"]),
         base_from_camera=_read_floats(file, "base_from_camera", (4, 4)),
         settings=dict(header["settings"]),
         seed=int(header["seed"]),

@@ -1,7 +1,8 @@
-"""Looking for states, all over the map or around a start, from where it looks like the image.
+"""Global search: states from which the map looks like an image, all over it or around a prior.
 
-Small views tell in milliseconds where an image could have been taken (``retrieval``). The best of
-these places, and states around them, are compared with the image once more, in larger images.
+Image retrieval over small rendered views tells in milliseconds where an image could have been taken
+(``retrieval``). The best of these states, and others around them, are then weighed by the image's
+evidence, in larger images.
 """
 
 from dataclasses import dataclass
@@ -23,56 +24,56 @@ from pipelines.localize.retrieval import (
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import sigmas_of
 
-# States around a place that looks like the image: standard deviations in metres and radians.
+# States around a retrieved one: standard deviations in metres and radians.
 AROUND_POSITION, AROUND_ANGLE = 0.2, 0.08
-# A start pose that is so uncertain, metres or radians, is searched around as a whole map is.
-START_POSITION, START_ANGLE = 0.6, 0.5
-# Around a start pose so many states are looked at.
-START_STATES = 3_000
-# Places less likely than this quantile of them are not around it.
-START_QUANTILE = 0.01
+# A prior that is so uncertain, metres or radians, is searched as coarsely as a whole map is.
+PRIOR_POSITION, PRIOR_ANGLE = 0.6, 0.5
+# Views rendered at so many states drawn from a prior.
+PRIOR_STATES = 3_000
+# States of the map that are less likely than this quantile of those are not searched.
+PRIOR_QUANTILE = 0.01
 
 
 @dataclass(frozen=True)
-class Effort:
-    """How thoroughly an image is looked up.
+class SearchEffort:
+    """How thoroughly an image is searched for.
 
     Attributes:
-        retrieved: so many of the places that look like it are looked at once more.
-        copies: so many states around each of them as well.
+        retrieved: states that image retrieval ranks first, whose evidence is evaluated.
+        copies: states around each of them, whose evidence is evaluated too.
     """
 
     retrieved: int
     copies: int
 
 
-THOROUGH = Effort(300, 8)
-# At a picture the other way round, or where the motion is unknown.
-GLANCE = Effort(100, 3)
+THOROUGH = SearchEffort(300, 8)
+# For a mirrored or inverted image, or where only the motion is unknown.
+QUICK = SearchEffort(100, 3)
 
 
 @dataclass(frozen=True)
-class Gallery:
-    """Where an image is looked up.
+class ViewDatabase:
+    """Rendered views among which an image is searched for.
 
     Attributes:
-        index: small views.
-        scale: how near to each other hypotheses are looked for, as a share of the usual.
+        index: the views.
+        scale: distances between hypotheses, as a share of those in a search of the whole map.
     """
 
     index: RetrievalIndex
     scale: float
 
 
-class Search:
-    """Looks images up in a map.
+class GlobalSearch:
+    """Searches a map for the states from which an image could have been taken.
 
     Args:
         model: compares states with images.
         region: where the body may be.
         world_from_camera: ``(N, 4, 4)`` of the recorded views; hypotheses with six degrees of
             freedom are taken from around them.
-        settings: of the filter.
+        settings: of the particle filter: widths of the images, number of views.
         rng: the only source of randomness.
     """
 
@@ -89,59 +90,84 @@ class Search:
         self._views = world_from_camera
         self._settings = settings
         self._rng = rng
-        self._everywhere: Gallery | None = None
+        self._everywhere: ViewDatabase | None = None
 
-    def everywhere(self, observations: Observations) -> Gallery:
-        """Small views all over the region; made when they are first needed."""
+    def everywhere(self, observations: Observations) -> ViewDatabase:
+        """Views all over the region; rendered when they are first needed.
+
+        Args:
+            observations: an image of the size that is searched for.
+        """
         if self._everywhere is None:
-            self._everywhere = Gallery(self._index(self._places(), observations), 1.0)
+            self._everywhere = ViewDatabase(self._index(self._map_states(), observations), 1.0)
         return self._everywhere
 
-    def around(self, start: Prediction, observations: Observations) -> Gallery:
-        """Small views around a start pose: drawn from it, and those of the map that it allows."""
-        drawn = start.sample(START_STATES, self._settings.resampling, self._rng)
-        places = self._places()
-        log_densities = start.log_density(np.concatenate([drawn, places]))
-        least = np.quantile(log_densities[:START_STATES], START_QUANTILE)
-        states = np.concatenate([places[log_densities[START_STATES:] >= least], drawn])
-        uncertainty = max(start.position_sigma / START_POSITION, start.angle_sigma / START_ANGLE)
-        return Gallery(self._index(states, observations), min(1.0, uncertainty))
+    def around(self, prior: Prediction, observations: Observations) -> ViewDatabase:
+        """Views at states drawn from a prior, and at those of the whole map that it allows.
 
-    def found(
-        self, gallery: Gallery, observations: Observations, effort: Effort
+        Args:
+            prior: where the body may be.
+            observations: an image of the size that is searched for.
+        """
+        drawn = prior.sample(PRIOR_STATES, self._settings.resampling, self._rng)
+        everywhere = self._map_states()
+        log_densities = prior.log_density(np.concatenate([drawn, everywhere]))
+        least = np.quantile(log_densities[:PRIOR_STATES], PRIOR_QUANTILE)
+        states = np.concatenate([everywhere[log_densities[PRIOR_STATES:] >= least], drawn])
+        uncertainty = max(prior.position_sigma / PRIOR_POSITION, prior.angle_sigma / PRIOR_ANGLE)
+        return ViewDatabase(self._index(states, observations), min(1.0, uncertainty))
+
+    def retrieved(
+        self, database: ViewDatabase, observations: Observations, effort: SearchEffort
     ) -> tuple[FloatArray, FloatArray]:
-        """States ``(K, D)`` that look most like an image, others around them, their evidence."""
+        """States ``(K, D)`` whose views look most like an image, others around them, and evidence.
+
+        Args:
+            database: the views.
+            observations: the image.
+            effort: how many states.
+
+        Returns:
+            The states and the image's evidence ``(K,)`` for each.
+        """
         space = self._model.space
         coarse = observations.by_width[self._settings.coarse_width]
         fine = observations.by_width[self._settings.fine_width]
-        scores = gallery.index.scores(coarse.in_channels(self._model.channels))
+        scores = database.index.scores(coarse.in_channels(self._model.channels))
         best = np.argsort(-scores, kind="stable")
-        found = gallery.index.states[best[: effort.retrieved]]
-        position, angle = gallery.scale * AROUND_POSITION, gallery.scale * AROUND_ANGLE
+        found = database.index.states[best[: effort.retrieved]]
+        position, angle = database.scale * AROUND_POSITION, database.scale * AROUND_ANGLE
         sigma = sigmas_of(space, position, angle)
         around = np.repeat(found, effort.copies, axis=0)
         around = space.moved(around, sigma * self._rng.standard_normal(around.shape))
         states = np.concatenate([found, around])
         return states, self._model.evidence(states, fine, self._model.likelihood.one_pixel_in)
 
-    def most_evidence(self, gallery: Gallery, observations: Observations) -> float:
-        """The most that an image says for any state, by a glance."""
-        return float(np.max(self.found(gallery, observations, GLANCE)[1]))
+    def largest_evidence(self, database: ViewDatabase, observations: Observations) -> float:
+        """The largest evidence of an image for any state, by a quick search."""
+        return float(np.max(self.retrieved(database, observations, QUICK)[1]))
 
     def distinct(
-        self, gallery: Gallery, states: FloatArray, evidence: FloatArray, count: int
+        self, database: ViewDatabase, states: FloatArray, evidence: FloatArray, count: int
     ) -> FloatArray:
-        """The best of the states ``(K, D)`` that were found, no two of one place, best first."""
+        """The best of the states ``(K, D)`` that were retrieved, not near a better one, best first.
+
+        Args:
+            database: where they were found.
+            states: ``(N, D)``.
+            evidence: ``(N,)`` of the image for them.
+            count: at most so many.
+        """
         space = self._model.space
-        return states[best_distinct(space, states, evidence, count, gallery.scale)]
+        return states[best_distinct(space, states, evidence, count, database.scale)]
 
     def _index(self, states: FloatArray, observations: Observations) -> RetrievalIndex:
         model = self._model
         intrinsics = observations.by_width[self._settings.coarse_width].intrinsics
         return build_index(model.renderer, model.space, model.body_from_camera, intrinsics, states)
 
-    def _places(self) -> FloatArray:
-        """States ``(N, D)`` at which small views are rendered."""
+    def _map_states(self) -> FloatArray:
+        """States ``(N, D)`` all over the region at which views are rendered."""
         space, count = self._model.space, self._settings.search_particles
         if space.angles == 1:
             return spread_states(space, self._region, count)

@@ -6,7 +6,7 @@ are the world's. So means, covariances, Gaussians and noise are written once:
 
 ``planar``: x, y, heading; the robot stands on z = 0 and its camera sits on a mount.
 ``spatial``: x, y, z and the rotation vector of world_from_body. A difference of rotations is the
-rotation vector, in world axes, of the turn that leads from one to the other (the tangent space of
+rotation vector, in world axes, of the rotation from one to the other (the tangent space of
 SO(3); Sola, Deray, Atchuthan 2018, "A micro Lie theory for state estimation in robotics").
 """
 
@@ -73,7 +73,7 @@ class StateSpace(Protocol):
         """The motion ``(D,)`` between two poses ``(4, 4)``, in the frame of the first."""
 
     def mean(self, states: FloatArray, weights: FloatArray) -> FloatArray:
-        """Weighted mean ``(D,)``; where the headings cancel, the heaviest state's stands."""
+        """Weighted mean ``(D,)``; where headings cancel out, the heaviest state's is taken."""
 
     def spread(self, states: FloatArray) -> FloatArray:
         """Standard deviation ``(D,)`` of states ``(M, D)`` about their mean."""
@@ -99,27 +99,27 @@ class Planar:
     dimension = 3
 
     def poses(self, states: FloatArray) -> FloatArray:
-        """See ``StateSpace.poses``."""
+        """``world_from_body`` ``(..., 4, 4)`` on the plane z = 0."""
         return world_from_base_planar(states)
 
     def states(self, poses: FloatArray) -> FloatArray:
-        """See ``StateSpace.states``."""
+        """The position seen from above and the heading of the body's x axis, ``(..., 3)``."""
         return planar_state_of(poses)
 
     def moved(self, states: FloatArray, offsets: FloatArray) -> FloatArray:
-        """See ``StateSpace.moved``."""
+        """States plus differences ``(..., 3)``, headings wrapped."""
         moved = np.asarray(states + offsets, dtype=np.float64)
         moved[..., 2] = wrap_angle(moved[..., 2])
         return moved
 
     def difference(self, states: FloatArray, centre: FloatArray) -> FloatArray:
-        """See ``StateSpace.difference``."""
+        """States less a centre, ``(..., 3)``, headings wrapped."""
         offsets = np.asarray(states - centre, dtype=np.float64)
         offsets[..., 2] = wrap_angle(offsets[..., 2])
         return offsets
 
     def composed(self, states: FloatArray, increments: FloatArray) -> FloatArray:
-        """See ``StateSpace.composed``."""
+        """States after motions ``(..., 3)`` forward, left and counter-clockwise."""
         cosine, sine = np.cos(states[..., 2]), np.sin(states[..., 2])
         moved = np.empty(np.broadcast_shapes(states.shape, increments.shape))
         moved[..., 0] = states[..., 0] + cosine * increments[..., 0] - sine * increments[..., 1]
@@ -128,11 +128,11 @@ class Planar:
         return moved
 
     def increment(self, before: FloatArray, after: FloatArray) -> FloatArray:
-        """See ``StateSpace.increment``."""
+        """The motion ``(3,)`` between two poses that are projected to the plane."""
         return planar_state_of(inverse(world_from_base_planar(planar_state_of(before))) @ after)
 
     def mean(self, states: FloatArray, weights: FloatArray) -> FloatArray:
-        """See ``StateSpace.mean``."""
+        """Weighted mean ``(3,)``; the heading is the circular mean."""
         total = float(np.sum(weights))
         x, y = weights @ states[:, :2] / total
         sine = weights @ np.sin(states[:, 2]) / total
@@ -144,7 +144,7 @@ class Planar:
         return np.array([x, y, float(wrap_angle(heading))])
 
     def spread(self, states: FloatArray) -> FloatArray:
-        """See ``StateSpace.spread``."""
+        """Standard deviation ``(3,)``, circular for the heading; at most a uniform angle's."""
         resultant = float(np.hypot(np.cos(states[:, 2]).mean(), np.sin(states[:, 2]).mean()))
         heading = math.sqrt(-2.0 * math.log(max(min(resultant, 1.0), 1e-12)))
         return np.array(
@@ -154,18 +154,18 @@ class Planar:
     def uniform(
         self, low: FloatArray, high: FloatArray, count: int, rng: np.random.Generator
     ) -> FloatArray:
-        """See ``StateSpace.uniform``."""
+        """``(count, 3)`` states uniform over a rectangle and all headings."""
         lowest, highest = np.append(low, -np.pi), np.append(high, np.pi)
         states = np.asarray(lowest + (highest - lowest) * rng.random((count, 3)))
         states[:, 2] = wrap_angle(states[:, 2])
         return states
 
     def pair_angles(self, states: FloatArray, others: FloatArray) -> FloatArray:
-        """See ``StateSpace.pair_angles``."""
+        """Absolute differences ``(A, B)`` of headings, in [0, pi]."""
         return np.abs(wrap_angle(states[:, None, 2] - others[None, :, 2]))
 
     def orientation_volume(self) -> float:
-        """See ``StateSpace.orientation_volume``."""
+        """The length of the circle of headings."""
         return 2.0 * math.pi
 
 
@@ -178,14 +178,14 @@ class Spatial:
     dimension = 6
 
     def poses(self, states: FloatArray) -> FloatArray:
-        """See ``StateSpace.poses``."""
+        """``world_from_body`` ``(..., 4, 4)`` of positions and rotation vectors."""
         rotation = scipy.spatial.transform.Rotation.from_rotvec(
             states[..., 3:].reshape(-1, 3)
         ).as_matrix()
         return pose_from_rotation(rotation.reshape(*states.shape[:-1], 3, 3), states[..., :3])
 
     def states(self, poses: FloatArray) -> FloatArray:
-        """See ``StateSpace.states``."""
+        """Positions and rotation vectors ``(..., 6)`` of poses."""
         rotation = scipy.spatial.transform.Rotation.from_matrix(
             poses[..., :3, :3].reshape(-1, 3, 3)
         ).as_rotvec()
@@ -193,19 +193,19 @@ class Spatial:
         return np.concatenate([poses[..., :3, 3], vectors], axis=-1)
 
     def moved(self, states: FloatArray, offsets: FloatArray) -> FloatArray:
-        """See ``StateSpace.moved``."""
+        """States plus differences ``(..., 6)``; rotations are applied in world axes."""
         states, offsets = np.broadcast_arrays(states, offsets)
-        turned = _rotations(offsets) * _rotations(states)
-        return _joined(states[..., :3] + offsets[..., :3], turned)
+        rotations = _rotations(offsets) * _rotations(states)
+        return _joined(states[..., :3] + offsets[..., :3], rotations)
 
     def difference(self, states: FloatArray, centre: FloatArray) -> FloatArray:
-        """See ``StateSpace.difference``."""
+        """From a centre to states, ``(..., 6)``; rotation vectors in world axes."""
         states, centre = np.broadcast_arrays(states, centre)
-        turn = _rotations(states) * _rotations(centre).inv()
-        return _joined(states[..., :3] - centre[..., :3], turn)
+        rotations = _rotations(states) * _rotations(centre).inv()
+        return _joined(states[..., :3] - centre[..., :3], rotations)
 
     def composed(self, states: FloatArray, increments: FloatArray) -> FloatArray:
-        """See ``StateSpace.composed``."""
+        """States after motions ``(..., 6)`` in the body's own axes."""
         states, increments = np.broadcast_arrays(states, increments)
         rotations = _rotations(states)
         steps = rotations.apply(np.array(increments[..., :3]).reshape(-1, 3))
@@ -213,11 +213,11 @@ class Spatial:
         return _joined(positions, rotations * _rotations(increments))
 
     def increment(self, before: FloatArray, after: FloatArray) -> FloatArray:
-        """See ``StateSpace.increment``."""
+        """The motion ``(6,)`` between two poses, in the axes of the first."""
         return self.states(inverse(before) @ after)
 
     def mean(self, states: FloatArray, weights: FloatArray) -> FloatArray:
-        """See ``StateSpace.mean``."""
+        """Weighted mean ``(6,)``; the rotation is the mean of quaternions."""
         position = weights @ states[:, :3] / float(np.sum(weights))
         rotation = (
             scipy.spatial.transform.Rotation.from_rotvec(states[:, 3:])
@@ -227,7 +227,7 @@ class Spatial:
         return np.concatenate([position, rotation])
 
     def spread(self, states: FloatArray) -> FloatArray:
-        """See ``StateSpace.spread``."""
+        """Standard deviation ``(6,)``, of angles at most that of a uniform angle."""
         offsets = self.difference(states, self.mean(states, np.ones(len(states))))
         return np.asarray(
             np.minimum(offsets.std(axis=0), [np.inf] * 3 + [LARGEST_ANGLE_SPREAD] * 3)
@@ -236,7 +236,7 @@ class Spatial:
     def uniform(
         self, low: FloatArray, high: FloatArray, count: int, rng: np.random.Generator
     ) -> FloatArray:
-        """See ``StateSpace.uniform``."""
+        """``(count, 6)`` states uniform over a box and all rotations."""
         if count == 0:
             # Earlier versions of SciPy know no empty list of rotations.
             return np.empty((0, self.dimension))
@@ -247,12 +247,12 @@ class Spatial:
         return np.concatenate([rng.uniform(low, high, (count, 3)), rotation], axis=1)
 
     def pair_angles(self, states: FloatArray, others: FloatArray) -> FloatArray:
-        """See ``StateSpace.pair_angles``."""
+        """Angles ``(A, B)`` of the rotations between states and others, in [0, pi]."""
         first, second = _rotations(states).as_quat(), _rotations(others).as_quat()
         return np.asarray(2.0 * np.arccos(np.minimum(np.abs(first @ second.T), 1.0)))
 
     def orientation_volume(self) -> float:
-        """See ``StateSpace.orientation_volume``."""
+        """The volume of SO(3) in rotation vectors of the tangent space."""
         return 8.0 * math.pi**2
 
 
@@ -263,6 +263,13 @@ SPATIAL: StateSpace = Spatial()
 def sigmas_of(space: StateSpace, position: float, angle: float) -> FloatArray:
     """``(D,)``: one number for every position, metres, and one for every angle, radians."""
     return np.array([position] * space.positions + [angle] * space.angles)
+
+
+def magnitudes(space: StateSpace, difference: FloatArray) -> tuple[float, float]:
+    """How far a difference ``(D,)`` leads: metres and radians."""
+    metres = np.linalg.norm(difference[: space.positions])
+    radians = np.linalg.norm(difference[space.positions :])
+    return float(metres), float(radians)
 
 
 def state_space_named(name: str) -> StateSpace:
@@ -289,12 +296,19 @@ def state_space_of_dimension(dimension: int) -> StateSpace:
     raise OptionError(f"states have {dimension} numbers instead of 3 (planar) or 6 (spatial)")
 
 
-def cells_of(
+def grid_cells(
     space: StateSpace, states: FloatArray, position_size: float, angle_size: float
 ) -> IntArray:
-    """Grid cells ``(M, D)`` in which states lie, for counting how far a belief is spread."""
-    sizes = np.array([position_size] * space.positions + [angle_size] * space.angles)
-    # Moved by nothing, so that full turns do not make cells.
+    """Grid cells ``(M, D)`` in which states lie, for counting how far a belief is spread.
+
+    Args:
+        space: what a state is.
+        states: ``(M, D)``.
+        position_size: side of a cell along each position, metres.
+        angle_size: side of a cell along each angle, radians.
+    """
+    sizes = sigmas_of(space, position_size, angle_size)
+    # Moved by nothing, so that angles are wrapped: a whole revolution is no other cell.
     canonical = space.moved(states, np.zeros(space.dimension))
     return np.asarray(np.floor(canonical / sizes), dtype=np.int64)
 

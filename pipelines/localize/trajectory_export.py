@@ -22,6 +22,7 @@ from pipelines.artifacts.errors import OptionError, StageError
 from pipelines.geometry.pose import quaternion_of
 from pipelines.geometry.trajectory import Trajectory, format_tum
 from pipelines.localize.run import FrameRecord, Run, load_run
+from pipelines.localize.state_space import known_states
 
 EUROC_HEADER = (
     "#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], "
@@ -56,7 +57,7 @@ class ExportSummary:
         ]
 
     def to_dict(self) -> dict[str, Any]:
-        """The same for programs."""
+        """Plain JSON types."""
         return {
             "path": str(self.path),
             "format": self.format_name,
@@ -91,7 +92,7 @@ def export_trajectory(run: Run, format_name: str, estimate: str | None = None) -
     Args:
         run: the run.
         format_name: a key of ``FORMATS``.
-        estimate: which estimate; None for the run's default.
+        estimate: name of the estimate; None for the run's default.
 
     Raises:
         OptionError: an unknown format, or the run has no estimate of this name.
@@ -111,7 +112,7 @@ def estimated_trajectory(run: Run, estimate: str | None = None) -> Trajectory:
 
 
 def _estimated_frames(states: FloatArray) -> list[int]:
-    return [int(index) for index in np.flatnonzero(np.all(np.isfinite(states), axis=1))]
+    return [int(index) for index in np.flatnonzero(known_states(states))]
 
 
 def _tum(run: Run, estimate: str) -> str:
@@ -121,7 +122,7 @@ def _tum(run: Run, estimate: str) -> str:
 def _kitti(run: Run, estimate: str) -> str:
     states = run.estimated_states(estimate)
     if len(_estimated_frames(states)) < len(states):
-        missing = int(np.flatnonzero(~np.all(np.isfinite(states), axis=1))[0])
+        missing = int(np.flatnonzero(~known_states(states))[0])
         raise StageError(
             f"frame {missing} has no estimate, and KITTI's format, a line a frame without times, "
             "has no way to leave it out; export to another format"

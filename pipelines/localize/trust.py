@@ -1,12 +1,12 @@
-"""Can a run be trusted? What it states, status and confidence, held against the truth.
+"""Can a run be trusted? Its status and confidence, compared with the ground truth.
 
 A robot acts on frames whose status is ``tracking``. Such a frame is **right** where the estimate is
 within 0.3 m and 10 degrees of the truth: the place is the right one. It is **wrong** where it is
 not, or where there is no truth at all since the images show another place. All other frames are
-**silent**: the filter searches, is lost, sees nothing or says that the image is an old one.
+**silent**: the filter searches, is lost, sees nothing, or the image is a stale one.
 
-The confidence is held against what it forecasts: an estimate within 0.1 m and 3 degrees. A frame
-without an estimate has none that is.
+The confidence forecasts that an estimate is within 0.1 m and 3 degrees. A frame without an estimate
+counts as one where that did not come true.
 """
 
 import math
@@ -46,8 +46,8 @@ class Trust:
         tracked: ``(N,)`` whether the status is ``tracking`` and there is an estimate.
         position_errors: ``(N,)`` metres; NaN where there is no estimate, or no truth since the
             images show another place.
-        heading_errors: ``(N,)`` degrees, likewise.
-        has_estimate: ``(N,)``.
+        heading_errors: ``(N,)`` degrees; NaN where the position's error is.
+        has_estimate: ``(N,)`` whether there is an estimate.
         confidence: ``(N,)`` as stated.
         squared_errors: ``(n,)`` normalised (NEES) errors of the tracked frames with a truth.
         degrees_of_freedom: of a state.
@@ -76,17 +76,17 @@ class Trust:
 
     @property
     def wrong(self) -> BoolArray:
-        """``(N,)`` frames that track another one."""
+        """``(N,)`` frames that track another place than the right one."""
         return np.asarray(self.tracked & ~self.right, dtype=np.bool_)
 
     @property
     def silent(self) -> BoolArray:
-        """``(N,)`` the others."""
+        """``(N,)`` frames that do not track."""
         return np.asarray(~self.tracked, dtype=np.bool_)
 
     @property
     def close(self) -> BoolArray:
-        """``(N,)`` frames whose estimate is as close as the confidence speaks of."""
+        """``(N,)`` frames with an estimate within 0.1 m and 3 degrees of the truth."""
         return _within(self, CLOSE_POSITION_M, CLOSE_HEADING_DEG)
 
     @property
@@ -101,18 +101,18 @@ class Trust:
 
     @property
     def calibration_error_of_estimates(self) -> float:
-        """The same over the frames that have an estimate."""
+        """ECE of the confidence over the frames that have an estimate."""
         chosen = self.has_estimate
         return expected_calibration_error(self.confidence[chosen], self.close[chosen])
 
     @property
     def brier_score(self) -> float:
-        """Of the confidence over all frames; NaN where there are none."""
+        """Brier score of the confidence over all frames; NaN where there are none."""
         return brier_score(self.confidence, self.close)
 
     @property
     def sure_not_close(self) -> float:
-        """Share of the sure frames whose estimate is not that close; NaN where none is sure."""
+        """Share of the sure frames that are not close; NaN where none is sure."""
         return _share(~self.close, self.sure)
 
     @property
@@ -140,15 +140,20 @@ class Trust:
         return float(np.mean(frames)) if len(frames) else math.nan
 
     def reliability(self, *, equal_mass: bool = False) -> tuple[Bin, ...]:
-        """Data of the reliability diagram over all frames; see ``calibration.reliability``."""
+        """Data of the reliability diagram of the confidence over all frames.
+
+        Args:
+            equal_mass: whether the bins hold about as many frames each, and not ranges of
+                confidence of the same width.
+        """
         return reliability(self.confidence, self.close, equal_mass=equal_mass)
 
     def confidence_sums(self) -> FloatArray:
-        """``(BINS, 3)``, see ``calibration.bin_sums``."""
+        """``(BINS, 3)`` of each bin of confidence: frames, sum of confidences, close frames."""
         return bin_sums(self.confidence, self.close)
 
     def rows(self) -> list[tuple[str, ...]]:
-        """For people."""
+        """Rows for people."""
         counts = [int(np.count_nonzero(kind)) for kind in (self.right, self.silent, self.wrong)]
         sure = int(np.count_nonzero(self.sure))
         far, wrong = (int(np.count_nonzero(self.sure & kind)) for kind in (~self.close, self.wrong))
@@ -168,7 +173,7 @@ class Trust:
         ]
 
     def to_dict(self) -> dict[str, Any]:
-        """For programs; what is unknown is null."""
+        """Plain JSON types; what is unknown is null."""
         position, heading = self.median_errors_of_right
         figures = {
             "calibration_error": self.calibration_error,
@@ -201,7 +206,7 @@ def trust_of(run: Run, truth: FloatArray, estimate: str | None = None) -> Trust:
     Args:
         run: the run.
         truth: ``(N, D)``, NaN where unknown: such frames do not count.
-        estimate: which one is judged; None for the run's default and what stands in for it.
+        estimate: name of the estimate that is judged; None for the run's default and its fallback.
 
     Raises:
         OptionError: the run has no estimate of this name, or truth of another shape.
@@ -221,7 +226,7 @@ def trust_elsewhere(run: Run, estimate: str | None = None) -> Trust:
 
     Args:
         run: the run; a ground truth that it carries is one of another world, and not used.
-        estimate: as in ``trust_of``.
+        estimate: name of the estimate that is judged; None for the run's default and its fallback.
 
     Raises:
         OptionError: the run has no estimate of this name.
@@ -297,7 +302,7 @@ def _is_tracked(run: Run) -> BoolArray:
 def _squared_errors(
     run: Run, estimate: str | None, truth: FloatArray, followed: BoolArray
 ) -> FloatArray:
-    """NEES of the followed frames; what stands in for an estimate has its own covariance."""
+    """NEES of the tracked frames; an estimate and its fallback have their own covariances."""
     if not np.any(followed):
         return np.empty(0)
     name = run.default_estimate if estimate is None else estimate

@@ -116,7 +116,7 @@ def align_by_convention(model_from_camera: FloatArray, scale: float) -> Similari
 
     Args:
         model_from_camera: ``(N, 4, 4)``.
-        scale: world units a unit of the model.
+        scale: length of a unit of the model in units of the world.
 
     Raises:
         StageError: the cameras have no common up direction, or the first looks along it.
@@ -137,7 +137,7 @@ def align_by_convention(model_from_camera: FloatArray, scale: float) -> Similari
 
 
 def _root_mean_square(errors: FloatArray) -> float:
-    """Of the lengths of vectors ``(N, 3)``."""
+    """Root mean square of the lengths of vectors ``(N, 3)``."""
     return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
 
 
@@ -151,8 +151,8 @@ def _errors(
 ) -> tuple[FloatArray, FloatArray]:
     """Errors of position (metres) and rotation (radians, rotation vectors), each ``(N, 3)``."""
     aligned = similarity.transform_poses(model_from_camera)
-    turns = np.swapaxes(world_from_camera[:, :3, :3], 1, 2) @ aligned[:, :3, :3]
-    rotation_errors = scipy.spatial.transform.Rotation.from_matrix(turns).as_rotvec()
+    rotations = np.swapaxes(world_from_camera[:, :3, :3], 1, 2) @ aligned[:, :3, :3]
+    rotation_errors = scipy.spatial.transform.Rotation.from_matrix(rotations).as_rotvec()
     return aligned[:, :3, 3] - world_from_camera[:, :3, 3], np.asarray(rotation_errors)
 
 
@@ -163,8 +163,8 @@ def _start(model_from_camera: FloatArray, world_from_camera: FloatArray) -> Simi
     line; here it is the median of the cameras' own rotations (Weiszfeld's iteration), the scale
     the median ratio of distances, the translation the median shift.
     """
-    turns = world_from_camera[:, :3, :3] @ np.swapaxes(model_from_camera[:, :3, :3], 1, 2)
-    rotations = scipy.spatial.transform.Rotation.from_matrix(turns)
+    relative = world_from_camera[:, :3, :3] @ np.swapaxes(model_from_camera[:, :3, :3], 1, 2)
+    rotations = scipy.spatial.transform.Rotation.from_matrix(relative)
     mean = rotations.mean()
     for _ in range(REWEIGHTINGS):
         angles = (mean.inv() * rotations).magnitude()
@@ -195,16 +195,14 @@ def _refined(
     sigmas: tuple[float, float],
 ) -> Similarity:
     """Least squares over log scale, rotation vector and translation, from ``start``."""
-    # Turning about the centre of the cameras keeps rotation and translation apart.
+    # A rotation about the centre of the cameras is least correlated with the translation.
     pivot = start.transform_points(model_from_camera[:, :3, 3]).mean(axis=0)
 
     def moved(step: FloatArray) -> Similarity:
-        turn, factor = (
-            scipy.spatial.transform.Rotation.from_rotvec(step[1:4]).as_matrix(),
-            float(np.exp(step[0])),
-        )
-        translation = factor * turn @ (start.translation - pivot) + pivot + step[4:7]
-        return Similarity(factor * start.scale, turn @ start.rotation, translation)
+        rotation = scipy.spatial.transform.Rotation.from_rotvec(step[1:4]).as_matrix()
+        factor = float(np.exp(step[0]))
+        translation = factor * rotation @ (start.translation - pivot) + pivot + step[4:7]
+        return Similarity(factor * start.scale, rotation @ start.rotation, translation)
 
     def residuals(step: FloatArray) -> FloatArray:
         positions, rotations = _errors(moved(step), model_from_camera, world_from_camera)

@@ -1,9 +1,9 @@
-"""Whether a structure-from-motion result can be trusted.
+"""Checks whether a structure-from-motion result can be trusted.
 
-pycolmap is silent where it fails: an unreadable image just is not there, a camera that only turned
-on the spot gives a full model with tiny reprojection errors. So the outcome is measured by what a
-failure changes: features and matches in the database, images and points in the model, and the
-angles under which the points were seen.
+pycolmap does not report its failures: an unreadable image is missing, and a camera that only
+rotated on the spot gives a full model with tiny reprojection errors. So the result is judged by
+what a failure changes: features and matches in the database, images and points in the model, and
+the triangulation angles of the points.
 """
 
 import sqlite3
@@ -42,7 +42,7 @@ class DatabaseFindings:
     Attributes:
         features: name of an image -> number of its features, for the images that have an entry.
         verified_pairs: pairs of images that show the same features in a possible geometry.
-        rotation_share: share of them that a rotation alone explains, see ``parallax``.
+        rotation_share: share of these pairs that a rotation alone explains (``parallax``).
     """
 
     features: dict[str, int]
@@ -72,7 +72,7 @@ class ModelFindings:
     median_triangulation_angle: float
 
     def to_dict(self) -> dict[str, Any]:
-        """For the statistics of the reconstruction."""
+        """Plain JSON types, for the statistics of the reconstruction."""
         return {
             "points": self.points,
             "median_points_per_image": self.median_points_per_image,
@@ -178,7 +178,7 @@ def measure(model: ColmapModel) -> ModelFindings:
 
 
 def _median_angle(model: ColmapModel) -> float:
-    """Degrees, see ``ModelFindings``; over evenly chosen points where there are very many."""
+    """``median_triangulation_angle`` of a model, over evenly chosen points where there are many."""
     poses = inverse(np.array([image.camera_from_world for image in model.images]))
     row_of_image = {image.identifier: row for row, image in enumerate(model.images)}
     tracks, positions = model.points.tracks, model.points.positions

@@ -32,7 +32,7 @@ def read_any_model(folder: Path) -> ColmapModel:
     """Reads a COLMAP model, binary where it is there in binary form, else text.
 
     Raises:
-        InputError: see ``colmap_model.read_model``.
+        InputError: a file is missing, truncated, damaged, or contradicts another one.
     """
     if is_file(folder / "cameras.bin") or not is_file(folder / "cameras.txt"):
         return read_model(folder)

@@ -1,7 +1,7 @@
-"""The part of a model that hangs together firmly.
+"""The firmly connected part of a model.
 
-A mapper may join pieces of a scene by a handful of shared points, or by none. Each piece is right
-in itself, every measure of fit is good, and the pieces lie anywhere relative to each other.
+A mapper may join pieces of a scene by a few shared points, or by none. Each piece is right in
+itself and every measure of fit is good, but the relative pose of the pieces is arbitrary.
 """
 
 import numpy as np
@@ -10,7 +10,7 @@ import scipy
 from pipelines.artifacts.arrays import IntArray
 from pipelines.reconstruct.colmap_model import NO_POINT, ColmapModel, ModelImage, ModelPoints
 
-# Points that two images have to share to hold each other; as many as a mapper asks for to pose one
+# Points that two firmly connected images share at least; as many as a mapper needs to pose one
 # image. Walks with weak overlap broke between images that shared 19 and 29 points (0.4 and 2.8 m
 # off); where neighbours overlap as they should they share hundreds.
 FIRM_SHARED_POINTS = 30
@@ -44,8 +44,8 @@ def restrict(model: ColmapModel, rows: list[int]) -> ColmapModel:
     """The model with some of its images only, and with the points that two of them still see.
 
     Args:
-        model: is not changed.
-        rows: of ``model.images``, to be kept.
+        model: the whole.
+        rows: indices of the images that are kept.
     """
     kept = [model.images[row] for row in rows]
     tracks, points = model.points.tracks, model.points

@@ -1,4 +1,4 @@
-"""What there is to say about a reconstruction, for people and for programs."""
+"""Summary of a reconstruction, for people and for programs."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -63,7 +63,7 @@ class ReconstructionSummary:
         return x, y, z
 
     def to_dict(self) -> dict[str, Any]:
-        """The same for programs."""
+        """Plain JSON types."""
         content = self.reconstruction
         return {
             "kind": "reconstruction",
@@ -75,10 +75,7 @@ class ReconstructionSummary:
             "dropped": dict(content.dropped),
             "points": len(content.points),
             "observations": len(content.observations),
-            "cameras": [
-                {"model": c.model, "width": c.width, "height": c.height, "params": list(c.params)}
-                for c in content.cameras
-            ],
+            "cameras": [camera.to_dict() for camera in content.cameras],
             "extent": list(self.extent()),
             "statistics": dict(content.statistics),
         }
@@ -89,9 +86,9 @@ def _extent_text(extent: tuple[float, float, float], unit: str) -> str:
 
 
 def describe_reconstruction(path: Path) -> ReconstructionSummary:
-    """Reads a reconstruction and says what is in it.
+    """Reads a reconstruction and summarizes it.
 
     Raises:
-        InputError: see ``load_reconstruction``.
+        InputError: missing, no reconstruction, or damaged.
     """
     return ReconstructionSummary(path, load_reconstruction(path))

@@ -1,4 +1,4 @@
-"""What ``lfnav import`` has to say: what the source was taken for, what came out, what is next."""
+"""Summary of an import: how the source was recognised, its result, and the next command."""
 
 import shlex
 from dataclasses import dataclass
@@ -18,8 +18,8 @@ class ImportSummary:
 
     Attributes:
         output: the data set.
-        kind: what the source was taken for.
-        evidence: the file that said so, or "--from".
+        kind: the kind of source that was recognised.
+        evidence: the file by which it was, or "--from".
         images: their number.
         cameras: those that took them; none where they are unknown.
         world_from_camera: ``(N, 4, 4)``; None without poses.
@@ -70,17 +70,14 @@ class ImportSummary:
         return rows
 
     def to_dict(self) -> dict[str, Any]:
-        """The same for programs."""
+        """Plain JSON types."""
         return {
             "kind": "import",
             "path": str(self.output),
             "source": self.kind,
             "evidence": self.evidence,
             "images": self.images,
-            "cameras": [
-                {"model": c.model, "width": c.width, "height": c.height, "params": list(c.params)}
-                for c in self.cameras
-            ],
+            "cameras": [camera.to_dict() for camera in self.cameras],
             "poses": 0 if self.world_from_camera is None else len(self.world_from_camera),
             "metric": self.is_metric,
             "depth_images": self.depth_images,

@@ -1,8 +1,8 @@
 """Which pairs of images differ by a rotation alone.
 
-A camera that turns on the spot sees no depth, yet structure from motion makes a model of it, with
-tiny reprojection errors and, where the focal length is estimated too, with some parallax that is
-not there. So the matches themselves are asked, before any model: does a rotation explain them?
+A camera that rotates on the spot sees no depth, yet structure from motion makes a model of it, with
+tiny reprojection errors and, where the focal length is estimated too, with some parallax that does
+not exist. So the matches themselves are tested, before any model: does a rotation explain them?
 """
 
 import sqlite3
@@ -95,13 +95,13 @@ def _rays(flat: FloatArray) -> FloatArray:
 
 
 def _rotation_errors(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Angles (radians, ``(N,)``) that the best rotation of rays leaves; outliers have no vote."""
+    """Residual angles (radians, ``(N,)``) of the best rotation of rays, fitted without outliers."""
     kept = np.ones(len(first), dtype=np.bool_)
     errors = np.zeros(len(first))
     for _ in range(TRIMMINGS):
         left, _, right = np.linalg.svd(second[kept].T @ first[kept])
         signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-        turned = first @ ((left * signs) @ right).T
-        errors = np.linalg.norm(turned - second, axis=1)
+        rotated = first @ ((left * signs) @ right).T
+        errors = np.linalg.norm(rotated - second, axis=1)
         kept = errors <= np.quantile(errors, EXPLAINED_SHARE)
     return errors

@@ -1,9 +1,10 @@
-"""Structure from motion for a robot on a floor: its camera moves in a plane, and odometry is known.
+"""Planar bundle adjustment: structure from motion for a robot on a floor, with odometry.
 
-Free structure from motion bends a long wall and lets the camera rise and nod by what a pixel leaves
-open. A robot does neither. Here poses and points are adjusted once more (bundle adjustment, Triggs
-et al. 2000, "Bundle adjustment: a modern synthesis") with poses of three degrees of freedom, and
-the movements between images tied to odometry. Where the whole lies in the world stays as it was.
+Free structure from motion bends a long wall and lets the camera rise and pitch within what a pixel
+leaves open. A robot does neither. Here poses and points are adjusted once more (bundle adjustment,
+Triggs et al. 2000, "Bundle adjustment: a modern synthesis") with poses of three degrees of freedom,
+and the motion between images is constrained by odometry. The position and heading of the whole in
+the world stay as they were.
 """
 
 import math
@@ -19,18 +20,19 @@ from pipelines.reconstruct.reconstruction import Reconstruction
 
 # Pixels: reprojection errors beyond this count linearly (Huber).
 HUBER = 1.0
-# What odometry errs by from one image to the next: metres, of the distance, radians, of the turn.
+# Standard deviations of odometry between two images: metres plus a share of the distance, radians
+# plus a share of the rotation.
 STEP_POSITION, POSITION_SHARE = 0.003, 0.02
 STEP_HEADING, HEADING_SHARE = math.radians(0.1), 0.02
-# Evaluations at most, and the relative change of the cost that ends the adjustment.
+# The most evaluations, and the relative change of the cost that ends the adjustment.
 MOST_EVALUATIONS, SMALLEST_CHANGE = 60, 1e-6
-# A camera in a plane explains its images about as well as one that is free: pixels.
+# Largest reprojection error: a camera in a plane explains its images about as well as a free one.
 LARGEST_ERROR = 2.0
 
 
 @dataclass(frozen=True)
 class PlanarAdjustment:
-    """The outcome.
+    """An adjusted reconstruction.
 
     Attributes:
         reconstruction: with adjusted poses and points.
@@ -45,15 +47,15 @@ class PlanarAdjustment:
 
 @dataclass(frozen=True)
 class _Problem:
-    """What stays the same during the adjustment.
+    """The constants of the adjustment.
 
     Attributes:
         rays: ``(M, 2)`` observations as x / z and y / z.
         focal: ``(M, 2)`` pixels.
-        image, point: ``(M,)`` of each observation.
+        image, point: ``(M,)`` indices of each observation's image and point.
         base_from_camera: ``(4, 4)``.
         increments: ``(N - 1, 3)`` by odometry, in the frame of the earlier image.
-        sigmas: ``(N - 1, 3)`` of these.
+        sigmas: ``(N - 1, 3)`` standard deviations of the increments.
     """
 
     rays: FloatArray
@@ -74,7 +76,7 @@ class _Problem:
         return unknowns[:count].reshape(-1, 3), unknowns[count:].reshape(-1, 3)
 
     def pixel_errors(self, unknowns: FloatArray) -> FloatArray:
-        """``(M, 2)``."""
+        """Reprojection errors ``(M, 2)``, pixels."""
         states, points = self.split(unknowns)
         state, apart = states[self.image], points[self.point]
         cosine, sine = np.cos(state[:, 2]), np.sin(state[:, 2])
@@ -174,11 +176,11 @@ def _blocks(rows: IntArray, height: int, columns: IntArray) -> IntArray:
 
 
 def _increments(states: FloatArray) -> FloatArray:
-    """Movements ``(N - 1, 3)`` from each state to the next, in the frame of the earlier one."""
-    x, y, turn = np.diff(states, axis=0).T
+    """Motions ``(N - 1, 3)`` from each state to the next, in the frame of the earlier one."""
+    x, y, rotation = np.diff(states, axis=0).T
     cosine, sine = np.cos(states[:-1, 2]), np.sin(states[:-1, 2])
     return np.stack(
-        [cosine * x + sine * y, cosine * y - sine * x, np.asarray(wrap_angle(turn))], axis=1
+        [cosine * x + sine * y, cosine * y - sine * x, np.asarray(wrap_angle(rotation))], axis=1
     )
 
 
@@ -191,11 +193,11 @@ def _sigmas(increments: FloatArray) -> FloatArray:
 def _put_back(
     states: FloatArray, points: FloatArray, before: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """States and points turned and shifted as a whole to where the states were in the mean."""
-    turns = before[:, 2] - states[:, 2]
-    turn = math.atan2(float(np.sin(turns).mean()), float(np.cos(turns).mean()))
-    cosine, sine = math.cos(turn), math.sin(turn)
+    """States and points, rotated and shifted as a whole so that the states' mean is as before."""
+    angles = before[:, 2] - states[:, 2]
+    angle = math.atan2(float(np.sin(angles).mean()), float(np.cos(angles).mean()))
+    cosine, sine = math.cos(angle), math.sin(angle)
     rotation = np.array([[cosine, -sine], [sine, cosine]])
     shift = before[:, :2].mean(axis=0) - rotation @ states[:, :2].mean(axis=0)
-    turned = np.column_stack([states[:, :2] @ rotation.T + shift, wrap_angle(states[:, 2] + turn)])
-    return turned, np.column_stack([points[:, :2] @ rotation.T + shift, points[:, 2]])
+    moved = np.column_stack([states[:, :2] @ rotation.T + shift, wrap_angle(states[:, 2] + angle)])
+    return moved, np.column_stack([points[:, :2] @ rotation.T + shift, points[:, 2]])

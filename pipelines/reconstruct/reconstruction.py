@@ -20,7 +20,7 @@ from pipelines.artifacts.file_content import read_file
 from pipelines.artifacts.json_fields import JsonFields, read_json_object
 from pipelines.artifacts.provenance import sha256_of_bytes
 from pipelines.geometry.camera import Camera
-from pipelines.geometry.pose import inverse
+from pipelines.geometry.pose import are_rigid, inverse
 from pipelines.reconstruct.colmap_model import (
     MAX_MODEL_FILE_BYTES,
     ColmapModel,
@@ -391,14 +391,7 @@ def _mount(fields: JsonFields) -> FloatArray | None:
         mount = np.array(value, dtype=np.float64)
     except (ValueError, TypeError, OverflowError):
         mount = np.empty(0)
-    is_rigid = (
-        mount.shape == (4, 4)
-        and bool(np.all(np.isfinite(mount)))
-        and np.allclose(mount[3], [0.0, 0.0, 0.0, 1.0])
-        and np.allclose(mount[:3, :3] @ mount[:3, :3].T, np.eye(3), atol=1e-6)
-        and float(np.linalg.det(mount[:3, :3])) > 0.0
-    )
-    if not is_rigid:
+    if mount.shape != (4, 4) or not are_rigid(mount, tolerance=1e-6):
         raise InputError(fields.path, "base_from_camera is not a rigid 4x4 transform")
     return mount
 

@@ -1,7 +1,7 @@
 """Structure from motion: poses, points and, where unknown, the camera, from the images alone.
 
 This is the parent's side. The work is done by ``sfm_worker`` in a process of its own; here it is
-started and followed, and what it made is judged (``checks``).
+started and monitored, and its result is judged (``checks``).
 """
 
 import itertools

@@ -218,7 +218,7 @@ def _models_in(folder: Path) -> list[tuple[str, int]]:
 
 
 def _die_with_parent() -> None:
-    """Ends this process when the parent is gone, however it went."""
+    """Ends this process when the parent has ended, in whatever way."""
     die_with_parent()
 
     def wait_for_end_of_input() -> None:

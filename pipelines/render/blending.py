@@ -6,12 +6,12 @@ are ranked by a penalty for the angle between their ray and the virtual one, for
 resolution, and for showing it near the border of their image; the k best share the weight, which
 falls to zero where the next one takes over. Views that do not show the point, because it lies
 outside their image or behind something nearer, are not ranked; the border's penalty grows without
-bound, so that no weight jumps where an image ends. As there, this is done at the corners of a
-coarse grid in the virtual image, and the weights are interpolated in between.
+bound, so that no weight jumps where an image ends. As in that paper, this is done at the corners of
+a coarse grid of tiles in the virtual image, and the weights are interpolated in between.
 
-Of a large light field most views are nowhere near the best. So with more than ``MOST_RANKED`` views
-the best at a few points all over the image are found first, and the corners choose among those:
-what a corner misses by that is a view that is the best for it, but not for any point around it.
+Of a large light field most views are far from the best. So with more than ``MOST_RANKED`` views
+candidates are selected first: the best view at each of a few points all over the image. The corners
+choose among the candidates, and so may miss a view that is the best for one corner alone.
 """
 
 from enum import IntEnum
@@ -19,10 +19,10 @@ from enum import IntEnum
 import numpy as np
 
 from pipelines.artifacts.arrays import BoolArray, FloatArray, IntArray
-from pipelines.geometry.camera import Intrinsics
 from pipelines.lightfield.view_penalties import border_penalties, ray_penalties, sees
 from pipelines.lightfield.views import Views
 from pipelines.render.delaunay_mesh import PixelWeights
+from pipelines.render.view_mapping import ViewMapping
 
 
 class Blending(IntEnum):
@@ -38,11 +38,11 @@ FEWEST_TILES, MOST_TILES = 6, 40
 VIEWS_PER_CORNER = 3
 # A tile blends the views of its four corners.
 VIEWS_PER_TILE = 4 * VIEWS_PER_CORNER
-# So many views are ranked at every corner. Of more, only the best ones at any of so many points
-# across and down.
+# Up to so many views are all candidates. Of more, the candidates are the best views at any point of
+# a grid of so many points across and down.
 MOST_RANKED = 64
-OUTLOOK_POINTS = 4
-# Penalties below this, in radians, all count as the same ray.
+CANDIDATE_POINTS = 4
+# Penalties below this, in radians, count as the same ray.
 SMALLEST_PENALTY = 1e-4
 # A view whose depth map shows something nearer than this share of a point's distance does not
 # show the point: depth maps are not more exact than that.
@@ -60,17 +60,17 @@ def tile_borders(size: int) -> IntArray:
     return np.minimum(np.arange(tiles + 1) * size // tiles, size - 1)
 
 
-def outlook_positions(size: int) -> IntArray:
-    """Pixel columns (or rows) ``(OUTLOOK_POINTS,)`` of the points that narrow many views down."""
-    return np.arange(OUTLOOK_POINTS) * (size - 1) // (OUTLOOK_POINTS - 1)
+def candidate_positions(size: int) -> IntArray:
+    """Pixel columns (or rows) ``(CANDIDATE_POINTS,)`` at which candidate views are selected."""
+    return np.arange(CANDIDATE_POINTS) * (size - 1) // (CANDIDATE_POINTS - 1)
 
 
 def occluded(views: Views, view: int, target: FloatArray, surface: FloatArray) -> BoolArray:
     """Whether a view sees something nearer in the directions of surface points.
 
     Args:
-        views: the light field.
-        view: which.
+        views: the light field's photos.
+        view: which of them.
         target: ``(..., 3)`` homogeneous pixels of the points in the view, the third component being
             the depth in the view divided by the virtual depth.
         surface: ``(...)`` virtual inverse depths of the points.
@@ -92,24 +92,15 @@ def occluded(views: Views, view: int, target: FloatArray, surface: FloatArray) -
 
 
 def unstructured_weights(
-    views: Views,
-    usable: BoolArray,
-    maps: FloatArray,
-    shifts: FloatArray,
-    surface: FloatArray,
-    world_from_camera: FloatArray,
-    intrinsics: Intrinsics,
+    views: Views, usable: BoolArray, mapping: ViewMapping, surface: FloatArray
 ) -> PixelWeights:
     """Unstructured-lumigraph weights at each pixel of a virtual image.
 
     Args:
         views: the light field's photos.
         usable: ``(N,)`` views that may take part.
-        maps: ``(N, 3, 3)`` and
-        shifts: ``(N, 3)``: a virtual pixel p with inverse depth d is at ``map p + shift d``.
+        mapping: from the virtual camera into the views.
         surface: ``(H, W)`` virtual inverse depth; 0 where there is no surface.
-        world_from_camera: ``(4, 4)`` virtual camera.
-        intrinsics: of the virtual camera.
 
     Returns:
         Views and weights ``(H, W, VIEWS_PER_TILE)``; all zero where no corner sees any view.
@@ -120,31 +111,24 @@ def unstructured_weights(
         for i, row in enumerate(rows):
             for j, column in enumerate(columns):
                 if surface[row, column] > 0.0:
-                    found[i, j] = _corner_weights(
-                        views,
-                        usable,
-                        maps,
-                        shifts,
-                        float(surface[row, column]),
-                        np.array([column, row, 1.0]),
-                        world_from_camera,
-                        intrinsics,
-                    )
+                    pixel, depth = np.array([column, row, 1.0]), float(surface[row, column])
+                    found[i, j] = _point_weights(views, usable, mapping, pixel, depth)
         return found
 
+    height, width = surface.shape
     if usable.sum() > MOST_RANKED:
-        outlook = [outlook_positions(size) for size in (intrinsics.width, intrinsics.height)]
-        found = weights_at(outlook[0], outlook[1], usable).reshape(-1, len(views))
+        found = weights_at(candidate_positions(width), candidate_positions(height), usable)
+        found = found.reshape(-1, len(views))
         usable = np.zeros_like(usable)
         # The best view has the largest weight.
         usable[found.argmax(axis=1)[found.any(axis=1)]] = True
-    columns, rows = tile_borders(intrinsics.width), tile_borders(intrinsics.height)
+    columns, rows = tile_borders(width), tile_borders(height)
     at_corner = weights_at(columns, rows, usable)
-    shape = (intrinsics.height, intrinsics.width, VIEWS_PER_TILE)
+    shape = (height, width, VIEWS_PER_TILE)
     chosen, weights = np.zeros(shape, dtype=np.int64), np.zeros(shape)
-    for y in range(intrinsics.height):
+    for y in range(height):
         i = _tile_of(rows, y)
-        for x in range(intrinsics.width):
+        for x in range(width):
             j = _tile_of(columns, x)
             corners = at_corner[i : i + 2, j : j + 2].reshape(4, -1)
             members = np.flatnonzero(corners.any(axis=0))
@@ -161,19 +145,24 @@ def _tile_of(borders: IntArray, position: int) -> int:
     return int(np.clip(np.searchsorted(borders, position, side="right") - 1, 0, len(borders) - 2))
 
 
-def _corner_weights(
+def _point_weights(
     views: Views,
     usable: BoolArray,
-    maps: FloatArray,
-    shifts: FloatArray,
-    inverse_depth: float,
+    mapping: ViewMapping,
     pixel: FloatArray,
-    world_from_camera: FloatArray,
-    intrinsics: Intrinsics,
+    inverse_depth: float,
 ) -> FloatArray:
-    """Weights ``(N,)`` of the views at one virtual pixel; at most k are not zero, sum 1 or 0."""
+    """Weights ``(N,)`` of the views at one virtual pixel; at most k are not zero, sum 1 or 0.
+
+    Args:
+        views: the light field's photos.
+        usable: ``(N,)`` views that may take part.
+        mapping: from the virtual camera into the views.
+        pixel: ``(3,)`` homogeneous virtual pixel, third component 1.
+        inverse_depth: of the surface there.
+    """
     weights = np.zeros(len(views))
-    target = maps @ pixel + shifts * inverse_depth
+    target = mapping.into_all_views(pixel, inverse_depth)
     size = views.arrays.level_size[:, 0]
     seen = usable & sees(target, size[:, 0], size[:, 1])
     for view in np.flatnonzero(seen):
@@ -181,8 +170,9 @@ def _corner_weights(
     candidates = np.flatnonzero(seen)
     if len(candidates) == 0:
         return weights
-    centre = world_from_camera[:3, 3]
-    ray = world_from_camera[:3, :3] @ np.linalg.inv(intrinsics.matrix()) @ pixel
+    pose, intrinsics = mapping.world_from_camera, mapping.intrinsics
+    centre = pose[:3, 3]
+    ray = pose[:3, :3] @ np.linalg.inv(intrinsics.matrix()) @ pixel
     penalty = ray_penalties(views.centres[candidates], centre, centre + ray / inverse_depth)
     penalty += border_penalties(target[candidates], size[candidates])
     order = np.argsort(penalty, kind="stable")

@@ -1,9 +1,9 @@
-"""The views in the form in which those that show surface points best are found fast.
+"""Candidate view selection: an index in which the views that show a point best are found fast.
 
-Neighbours stand together in groups (the leaves of a k-d tree, Bentley 1975). A sphere around a
-group's centres bounds the viewing angle of every one of its views, and planes bound what they see,
-so that most groups of a large light field need no look at all; and the views of a group are looked
-at all at once.
+Neighbouring views form groups (the leaves of a k-d tree, Bentley 1975). A sphere around a group's
+centres bounds the viewing angle of each of its views, and planes bound their frustums, so that most
+groups of a large light field are rejected as a whole. The views of a group are evaluated at once,
+by SIMD instructions.
 """
 
 from typing import NamedTuple
@@ -20,9 +20,11 @@ from pipelines.artifacts.arrays import (
 from pipelines.lightfield.view_penalties import BORDER_SHARE
 from pipelines.lightfield.views import Views
 
+# Views of a group: the width of the widest SIMD registers in single precision.
 GROUP_VIEWS = 16
 # Sides of an image.
 SIDES = 4
+# Numbers that describe a view, and a group.
 VIEW_NUMBERS, GROUP_NUMBERS = 18, 4 + 4 * SIDES
 
 
@@ -30,18 +32,18 @@ class ViewIndex(NamedTuple):
     """S views, and the G groups that they form, in the form that the C++ core takes.
 
     Attributes:
-        origin: ``(3,)`` world coordinates of the origin in which all else is given, so that single
-            precision is enough far away from the world's.
-        order: ``(S,)`` int32 the views, rising.
-        numbers: ``(S * VIEW_NUMBERS,)`` of each: projection row by row, centre, width, height,
+        origin: ``(3,)`` world coordinates of a local origin, to which all else refers: single
+            precision is then enough far away from the world's origin.
+        order: ``(S,)`` int32 indices of the views, rising.
+        numbers: ``(S * VIEW_NUMBERS,)`` of each view: projection row by row, centre, width, height,
             width of the strip along the border.
-        members: ``(G * GROUP_VIEWS,)`` int32 rows of these, group by group; -1: none.
-        blocks: ``(G * VIEW_NUMBERS * GROUP_VIEWS,)`` the same numbers, group by group, and in each
-            number by number; all zero where there is no view.
+        members: ``(G * GROUP_VIEWS,)`` int32 positions in ``order``, group by group; -1: none.
+        blocks: ``(G * VIEW_NUMBERS * GROUP_VIEWS,)`` the numbers of the views, group by group, and
+            within a group number by number; all zero where there is no view.
         groups: ``(G * GROUP_NUMBERS,)`` of each group: centre and radius of the sphere around its
-            views' centres; then for each side of an image the unit normal of the plane through the
-            centre and that side, pointing inwards, in the middle of the views', and how far from it
-            theirs are at most.
+            views' centres; then for each side of an image the mean of the views' unit normals of
+            the plane through centre and side, pointing inwards, and their largest distance from the
+            mean.
     """
 
     origin: FloatArray
@@ -53,7 +55,12 @@ class ViewIndex(NamedTuple):
 
 
 def build_index(views: Views, usable: BoolArray) -> ViewIndex:
-    """Puts the usable ones ``(N,)`` of N views into groups."""
+    """Groups views.
+
+    Args:
+        views: the light field's photos.
+        usable: ``(N,)`` views that may take part.
+    """
     chosen = np.flatnonzero(usable)
     centres = views.centres[chosen]
     origin = centres.mean(axis=0) if len(chosen) else np.zeros(3)
@@ -111,7 +118,13 @@ def _inward_normals(views: Views) -> FloatArray:
 def _group_numbers(
     centres: FloatArray, normals: FloatArray, groups: list[IntArray]
 ) -> Float32Array:
-    """Numbers ``(G, GROUP_NUMBERS)``, see ``ViewIndex``, of groups of views ``(S, ...)``."""
+    """``ViewIndex.groups`` as ``(G, GROUP_NUMBERS)``.
+
+    Args:
+        centres: ``(S, 3)`` of the views, from the local origin.
+        normals: ``(S, SIDES, 3)`` inward normals of their frustums.
+        groups: positions of each group's views.
+    """
     numbers = np.zeros((len(groups), GROUP_NUMBERS), dtype=np.float32)
     for group, members in enumerate(groups):
         own = centres[members]

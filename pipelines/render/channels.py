@@ -1,21 +1,21 @@
-"""What of a photo is compared: its colours, or channels that another lamp changes little.
+"""Channels: what of a photo is compared, its colours or features that other light changes little.
 
-Light from elsewhere multiplies and shifts the grey levels of a neighbourhood; it hardly moves an
-edge. ``CONTRAST`` takes each colour's difference from the mean of its neighbourhood and divides it
-by the spread of the grey levels there (local contrast normalisation, Jarrett et al. 2009; the mean
-product of two such images is the mean of their local ZNCC scores). ``GRADIENT`` keeps the slopes of
-the grey levels, divided by how steep the neighbourhood is (as block-normalised gradients, Dalal and
+Other light scales and shifts the grey levels of a neighbourhood, but hardly moves an edge.
+``CONTRAST`` takes each colour's difference from the mean of its neighbourhood and divides it by the
+spread of the grey levels there (local contrast normalisation, Jarrett et al. 2009; the mean product
+of two such images is the mean of their local ZNCC scores). ``GRADIENT`` keeps the slopes of the
+grey levels, divided by how steep the neighbourhood is (as block-normalised gradients, Dalal and
 Triggs 2005), and their length.
 
 Two are mixtures. ``MIXED`` takes the local contrast of the grey levels and their two slopes.
 ``CHROMA`` takes that contrast and two colours, red against green and yellow against blue, divided
-by the brightness of the neighbourhood. They also tell even surfaces of different paint apart, and
-bear a light that is brighter or dimmer, but not one of another colour.
+by the brightness of the neighbourhood. These also distinguish even surfaces of different paint, and
+are invariant to brighter or dimmer light, but not to light of another colour.
 
-Channels are bytes like colours, 128 where there is nothing to see (an even surface; in ``CHROMA``
-a grey one), and stand in the place of RGB: views of them are blended, and compared, by the same
-code. They are computed from each level of a photo's pyramid, so that a neighbourhood is as many
-pixels wide as in the image that it is compared with.
+Channels are bytes like colours, 128 on an even surface (in ``CHROMA`` a grey one), and take the
+place of RGB: the same code blends and compares views of them. They are computed from each level of
+a photo's pyramid, so that a neighbourhood is as many pixels wide as in the image that it is
+compared with.
 """
 
 from enum import Enum
@@ -29,7 +29,7 @@ from pipelines.lightfield.views import Views
 
 # Side of the neighbourhood, pixels.
 WINDOW = 5
-# Grey levels: spreads and slopes below these are noise, and are not blown up.
+# Grey levels: spreads and slopes below these are noise, and are not amplified.
 SMALLEST_SPREAD, SMALLEST_SLOPE = 3.0, 1.5
 # Grey levels that are added to the brightness: in the dark, colour is noise.
 SMALLEST_BRIGHTNESS = 8.0
@@ -61,8 +61,8 @@ def channel_image(
     Args:
         image: ``(H, W, 3)`` RGB, 0 to 255.
         channels: which.
-        shown: ``(H, W)`` pixels that show the scene; others are no part of any neighbourhood.
-            None: all.
+        shown: ``(H, W)`` pixels that show the scene; others are in no neighbourhood. None: all
+            do.
     """
     colours = np.asarray(image, dtype=np.float32)
     if channels is Channels.COLOUR:
@@ -87,9 +87,9 @@ def _box(values: Float32Array) -> Float32Array:
 def _thrice(values: Float32Array) -> Float32Array:
     """Numbers ``(H, W)`` for each of three channels: ``(H, W, 3)``; one for all stays one.
 
-    NumPy can do so by itself (broadcasting), but goes through three numbers at a time then, which
-    takes several times as long. Where this is used, results are written over what is not needed any
-    more: with arrays of this size getting memory takes longer than the arithmetic.
+    NumPy's broadcasting does the same, but in inner loops of three numbers, which takes several
+    times as long. Where this is used, results overwrite arrays that are no longer needed: with
+    arrays of this size allocation takes longer than the arithmetic.
     """
     if values.ndim == 0:
         return values

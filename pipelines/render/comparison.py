@@ -1,13 +1,13 @@
 """How different is a rendered view from a camera image? One cost in [0, 1] for each.
 
 All costs share one signature, so that the filter can use any. The paper compares pixel by pixel
-(``squared``, section 6); the others stand beside it for light that changes (``zncc``, ``gradient``)
-and for things that are not in the model (``robust``). A pixel that no view covers costs as much as
-a bad one there, so that looking at nothing never wins.
+(``squared``, section 6); others tolerate light that changes (``zncc``, ``gradient``) or things that
+are not in the model (``robust``). A pixel that no view covers costs about as much as an unrelated
+one, so that a pose that sees nothing of the map never wins.
 
-``evidence`` is of another kind: each pixel adds what its difference says for "the map shows this
-here" against "the map does not", as a table of logarithms has it (``pixel_evidence``). A pixel that
-no view covers says nothing and adds 0, so that looking at nothing earns nothing.
+``evidence`` is a log-likelihood ratio: each pixel adds what its difference says for "the map shows
+this here" against "the map does not", looked up in a table (``pixel_evidence``). A pixel that no
+view covers adds 0, so that a pose that sees nothing of the map gains nothing.
 """
 
 from dataclasses import dataclass
@@ -17,6 +17,7 @@ import numpy as np
 
 from pipelines.artifacts.arrays import BoolArray, Float32Array, ImageArray, Int32Array
 from pipelines.artifacts.errors import OptionError
+from pipelines.geometry.camera import Intrinsics
 from pipelines.native import image_cost
 
 
@@ -37,7 +38,7 @@ class Cost(IntEnum):
     EVIDENCE = 4
 
 
-# Grey levels of 255. Differences beyond the limit are "something else", however large.
+# Grey levels of 255. Differences beyond the limit are outliers, however large.
 ROBUST_LIMIT = 64.0
 GRADIENT_LIMIT = 32.0
 # What an uncovered pixel costs, on each cost's own scale: about what unrelated image parts cost.
@@ -47,15 +48,15 @@ UNCOVERED_ZNCC = 0.5
 UNCOVERED_GRADIENT = 0.5
 # Gains beyond this factor are no exposure change but another place.
 LARGEST_GAIN = 1.5
-# Of EVIDENCE: differences, summed over the channels, are told apart in bins of so many levels, and
-# count as the last one's beyond it; pixels by how strong they are, in so many rows.
+# Size of the table of EVIDENCE: a row for each range of a pixel's strength, a bin for each range of
+# differences, summed over the channels. A bin is so many levels wide; the last one is open.
 EVIDENCE_BINS, EVIDENCE_ROWS = 24, 8
 EVIDENCE_BIN = 10.0
 
 # As the C++ core takes them.
 LIMITS = np.array([ROBUST_LIMIT, GRADIENT_LIMIT, LARGEST_GAIN])
 UNCOVERED = np.array([UNCOVERED_SQUARED, UNCOVERED_ROBUST, UNCOVERED_ZNCC, UNCOVERED_GRADIENT])
-# Of all costs but EVIDENCE.
+# The table of all costs but EVIDENCE.
 NO_TABLE = np.empty(0, dtype=np.float32)
 
 
@@ -92,7 +93,11 @@ def sum_of_channels(values: Float32Array) -> Float32Array:
 
 
 def evidence_table(cost: Cost, evidence: PixelEvidence | None) -> Float32Array:
-    """What the comparison looks up, see ``compare``; nothing for any cost but EVIDENCE.
+    """The table that the comparison looks up, row by row; empty for all costs but EVIDENCE.
+
+    Args:
+        cost: the kind of comparison.
+        evidence: of the pixels' differences; needed for EVIDENCE and for no other cost.
 
     Raises:
         OptionError: EVIDENCE without a table, or another cost with one.
@@ -126,7 +131,7 @@ def prepared_pixels(query: ImageArray | Float32Array) -> tuple[Int32Array, Float
     """Those pixels of a camera image that are to be compared, as ``compare`` takes them.
 
     Args:
-        query: as for ``prepared``.
+        query: ``(H, W, 3)``, 0 to 255; NaN where it is not to be compared.
 
     Returns:
         Their indices ``(P,)``, rising, and ``(1, P, 4)`` their colours, and 1.
@@ -138,10 +143,81 @@ def prepared_pixels(query: ImageArray | Float32Array) -> tuple[Int32Array, Float
     return chosen, pixels
 
 
+@dataclass(frozen=True)
+class PreparedQuery:
+    """A camera image ready for the comparison with many rendered views.
+
+    Attributes:
+        intrinsics: of the image.
+        pixels: ``(P,)`` indices of the pixels that are rendered and compared, rising.
+        target: ``(h, w, 4)`` these P = h w pixels as ``compare`` takes them.
+        cost: the kind of comparison.
+        fit_gain: whether a brightness factor is fitted for each view.
+        table: of EVIDENCE as ``compare`` takes it; else empty.
+    """
+
+    intrinsics: Intrinsics
+    pixels: Int32Array
+    target: Float32Array
+    cost: Cost
+    fit_gain: bool
+    table: Float32Array
+
+
+def prepare_query(
+    query: ImageArray | Float32Array,
+    intrinsics: Intrinsics,
+    cost: Cost,
+    fit_gain: bool,
+    evidence: PixelEvidence | None,
+) -> PreparedQuery:
+    """Prepares a camera image for the comparison with many rendered views.
+
+    Args:
+        query: ``(H, W, 3)``, 0 to 255; NaN where it is not to be compared.
+        intrinsics: of the image.
+        cost: the kind of comparison.
+        fit_gain: whether a brightness factor is fitted for each view.
+        evidence: of the pixels' differences; needed for EVIDENCE and for no other cost.
+
+    Raises:
+        OptionError: another size than the intrinsics', EVIDENCE without a table, or another cost
+            with one.
+    """
+    check_query(query, intrinsics)
+    table = evidence_table(cost, evidence)
+    # Gradients are differences between neighbours; else what is not compared is not rendered.
+    if cost is Cost.GRADIENT:
+        pixels, target = every_pixel(intrinsics), prepared(query)
+    else:
+        pixels, target = prepared_pixels(query)
+    if evidence is not None:
+        target[..., 3] *= np.float32(1.0) + evidence.rows(target[..., :3])
+    return PreparedQuery(intrinsics, pixels, target, cost, fit_gain, table)
+
+
+def every_pixel(intrinsics: Intrinsics) -> Int32Array:
+    """Indices ``(H W,)`` of all pixels of an image."""
+    return np.arange(intrinsics.width * intrinsics.height, dtype=np.int32)
+
+
+def check_query(query: ImageArray | Float32Array, intrinsics: Intrinsics) -> None:
+    """Refuses a camera image that is not ``(H, W, 3)`` of its intrinsics.
+
+    Raises:
+        OptionError: another size.
+    """
+    if query.shape != (intrinsics.height, intrinsics.width, 3):
+        raise OptionError(
+            f"camera image of shape {query.shape} for intrinsics of "
+            f"{intrinsics.width}x{intrinsics.height} pixels"
+        )
+
+
 def _known(query: ImageArray | Float32Array) -> BoolArray:
     """Which pixels ``(H, W)`` of a camera image are to be compared."""
     image = np.asarray(query, dtype=np.float32)
-    # Not a number in one channel is none in their sum.
+    # NaN in one channel makes the sum NaN.
     return np.asarray(np.isfinite(image[..., 0] + image[..., 1] + image[..., 2]))
 
 
@@ -153,13 +229,14 @@ def compare(
     Args:
         cost: the kind of comparison.
         view: ``(H, W, 4)`` rendered, 0 to 255, and 1 where covered, else 0.
-        query: ``(H, W, 4)`` camera image, see ``prepared``. For EVIDENCE its last number is, where
-            the pixel is to be compared, 1 and the pixel's row of the table.
+        query: ``(H, W, 4)`` camera image as ``prepared`` returns it. For EVIDENCE the fourth number
+            of pixels to be compared is 1 plus the pixel's row of the table.
         fit_gain: whether one brightness factor is fitted first, between 1 / ``LARGEST_GAIN`` and
-            ``LARGEST_GAIN``. Of ROBUST it is found from those colours alone that are nearly equal
+            ``LARGEST_GAIN``. For ROBUST it is fitted to those colours alone that are nearly equal
             already: what stands in front of the scene must not change the brightness of what is
             seen beside it.
-        table: of EVIDENCE alone, row by row: EVIDENCE_BINS zeros, then ``PixelEvidence.table``.
+        table: for EVIDENCE, row by row: EVIDENCE_BINS zeros, then ``PixelEvidence.table``; else
+            empty.
 
     Returns:
         Cost, in [0, 1] but for EVIDENCE; smaller is better.

@@ -1,8 +1,8 @@
-"""The net of recording centres in a virtual image, and the blending weights that it gives.
+"""The Delaunay mesh of recording centres in a virtual image, and its blending weights.
 
 Heigl, Denzler, Niemann (2001), section 2: the projection centres of the recorded views, projected
-into the virtual camera, form a net of triangles by Delaunay triangulation; inside a triangle the
-views at its corners are blended with weights that are 1 at the own corner and 0 at the other two.
+into the virtual camera, are triangulated (Delaunay); inside a triangle the views at its vertices
+are blended with weights that are 1 at the own vertex and 0 at the other two.
 This module is the readable version, on SciPy's triangulation; ``native/delaunay_mesh.hpp`` is the
 fast one.
 """
@@ -15,17 +15,17 @@ import scipy
 from pipelines.artifacts.arrays import BoolArray, FloatArray, IntArray
 from pipelines.geometry.camera import Intrinsics
 
-# Recording centres count as lying in one plane with the virtual centre, which makes the net
+# Recording centres count as lying in one plane with the virtual centre, which makes the mesh
 # one-dimensional, when they leave that plane by less than this share of their distance (rms).
 FLATNESS_LIMIT = 0.01
 # A centre beside the virtual camera projects to infinity; it is moved to a large finite place.
 SMALLEST_RELATIVE_DEPTH = 1e-7
-# Centres that project nearer to each other than this, in pixels, are one corner of the net. Far
-# from the image, where neighbouring numbers lie farther apart, it is this share of the coordinates.
+# Centres that project nearer to each other than this, in pixels, are one vertex of the mesh. Far
+# from the image, where floating-point numbers are coarser, it is this share of the coordinates.
 COINCIDENT_PIXELS = 1e-6
 COINCIDENT_SHARE = 1e-12
-# Three corners count as lying on a line when their triangle is flatter than this share of the
-# square of its longest side.
+# Three vertices count as collinear when their triangle's area is less than this share of the square
+# of its longest side.
 SMALLEST_AREA = 1e-12
 # These limits as the C++ core takes them.
 MESH_LIMITS = np.array([FLATNESS_LIMIT, COINCIDENT_PIXELS, COINCIDENT_SHARE, SMALLEST_AREA])
@@ -36,8 +36,8 @@ class PixelWeights:
     """Blending weights of each pixel of an image of H x W pixels.
 
     Attributes:
-        views: ``(H, W, 3)`` indices of the three contributing views.
-        weights: ``(H, W, 3)`` their weights, non-negative, sum 1.
+        views: ``(H, W, K)`` indices of the contributing views; K is 3 in a mesh.
+        weights: ``(H, W, K)`` their weights, non-negative, sum 1, or 0 where no view contributes.
     """
 
     views: IntArray
@@ -108,7 +108,7 @@ def line_direction(
 def pixel_weights(
     centres: FloatArray, world_from_camera: FloatArray, intrinsics: Intrinsics
 ) -> PixelWeights:
-    """The net's weights at each pixel of a virtual image.
+    """The mesh's weights at each pixel of a virtual image.
 
     Args:
         centres: ``(N, 3)`` recording centres of the views that take part, N >= 1.
@@ -117,31 +117,31 @@ def pixel_weights(
     """
     columns, rows = np.meshgrid(np.arange(intrinsics.width), np.arange(intrinsics.height))
     pixels = np.stack([columns, rows], axis=-1).reshape(-1, 2).astype(np.float64)
-    corners = project_centres(centres, world_from_camera, intrinsics)
+    vertices = project_centres(centres, world_from_camera, intrinsics)
     distance = np.linalg.norm(centres - world_from_camera[:3, 3], axis=1)
-    kept = distinct_corners(corners, distance)
+    kept = distinct_vertices(vertices, distance)
     flat = len(kept) < 3 or is_one_dimensional(centres[kept], world_from_camera[:3, 3])
     if not flat:
         try:
-            views, weights = _weights_in_triangles(corners[kept], pixels)
+            views, weights = _weights_in_triangles(vertices[kept], pixels)
         except scipy.spatial.QhullError:
             flat = True
     if flat:
         direction = line_direction(centres[kept], world_from_camera, intrinsics)
         if len(kept) == 2:
-            # Two corners define their own line, whatever the plane through them.
-            difference = corners[kept[1]] - corners[kept[0]]
+            # Two vertices define their own line, whatever the plane through them.
+            difference = vertices[kept[1]] - vertices[kept[0]]
             direction = difference / np.linalg.norm(difference)
-        views, weights = _weights_on_line(corners[kept] @ direction, pixels @ direction)
+        views, weights = _weights_on_line(vertices[kept] @ direction, pixels @ direction)
     shape = (intrinsics.height, intrinsics.width, 3)
     return PixelWeights(kept[views].reshape(shape), weights.reshape(shape))
 
 
-def distinct_corners(corners: FloatArray, distance: FloatArray) -> IntArray:
-    """Indices of corners that do not coincide; of coinciding ones the nearest centre stays.
+def distinct_vertices(vertices: FloatArray, distance: FloatArray) -> IntArray:
+    """Indices of vertices that do not coincide; of coinciding ones the nearest centre stays.
 
     Args:
-        corners: ``(N, 2)`` pixels.
+        vertices: ``(N, 2)`` projected centres, pixels.
         distance: ``(N,)`` metres from the virtual centre.
 
     Returns:
@@ -149,17 +149,18 @@ def distinct_corners(corners: FloatArray, distance: FloatArray) -> IntArray:
     """
     kept: list[int] = []
     for index in np.argsort(distance, kind="stable"):
-        limit = max(COINCIDENT_PIXELS, COINCIDENT_SHARE * float(np.abs(corners[index]).max()))
-        gaps = np.abs(corners[kept] - corners[index]).max(axis=1) if kept else np.array([np.inf])
+        own = vertices[index]
+        limit = max(COINCIDENT_PIXELS, COINCIDENT_SHARE * float(np.abs(own).max()))
+        gaps = np.abs(vertices[kept] - own).max(axis=1) if kept else np.array([np.inf])
         if np.all(gaps > limit):
             kept.append(int(index))
     return np.array(kept, dtype=np.int64)
 
 
-def _weights_on_line(corners: FloatArray, pixels: FloatArray) -> tuple[IntArray, FloatArray]:
-    """One-dimensional net: ramps between neighbours, the end views alone beyond the ends."""
-    order = np.argsort(corners, kind="stable")
-    position = corners[order]
+def _weights_on_line(vertices: FloatArray, pixels: FloatArray) -> tuple[IntArray, FloatArray]:
+    """One-dimensional mesh: ramps between neighbours, the end views alone beyond the ends."""
+    order = np.argsort(vertices, kind="stable")
+    position = vertices[order]
     if len(order) == 1:
         views = np.zeros((len(pixels), 3), dtype=np.int64)
         return views, np.tile([1.0, 0.0, 0.0], (len(pixels), 1))
@@ -172,12 +173,12 @@ def _weights_on_line(corners: FloatArray, pixels: FloatArray) -> tuple[IntArray,
     return views, np.stack([1.0 - ramp, ramp, np.zeros_like(ramp)], axis=1)
 
 
-def _weights_in_triangles(corners: FloatArray, pixels: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Two-dimensional net: barycentric weights inside, the border's blend outside."""
-    triangulation = scipy.spatial.Delaunay(corners)
+def _weights_in_triangles(vertices: FloatArray, pixels: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Two-dimensional mesh: barycentric weights inside, the border's blend outside."""
+    triangulation = scipy.spatial.Delaunay(vertices)
     simplex = triangulation.find_simplex(pixels)
-    # Where outer corners lie on a line, rounding adds triangles without area.
-    solid = ~_is_flat(corners[triangulation.simplices])
+    # Where outer vertices lie on a line, rounding adds triangles without area.
+    solid = ~_is_flat(vertices[triangulation.simplices])
     inside = (simplex >= 0) & solid[simplex]
     views = np.zeros((len(pixels), 3), dtype=np.int64)
     weights = np.zeros((len(pixels), 3))
@@ -186,7 +187,7 @@ def _weights_in_triangles(corners: FloatArray, pixels: FloatArray) -> tuple[IntA
     weights[inside] = np.column_stack([partial, 1.0 - partial.sum(axis=1)])
     views[inside] = triangulation.simplices[simplex[inside]]
     edges = _outer_edges(triangulation.simplices[solid].astype(np.int64))
-    views[~inside], weights[~inside] = _weights_beyond(corners, edges, pixels[~inside])
+    views[~inside], weights[~inside] = _weights_beyond(vertices, edges, pixels[~inside])
     weights = np.clip(weights, 0.0, 1.0)
     return views, weights / weights.sum(axis=1, keepdims=True)
 
@@ -201,7 +202,7 @@ def _is_flat(triangles: FloatArray) -> BoolArray:
 def _outer_edges(triangles: IntArray) -> IntArray:
     """The edges ``(e, 2)`` that belong to one triangle only of ``(t, 3)``.
 
-    These are not the edges of the convex hull, which leaves out corners along a straight border.
+    These are not the edges of the convex hull, which leaves out vertices along a straight border.
     """
     sides = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     edges, count = np.unique(np.sort(sides, axis=1), axis=0, return_counts=True)
@@ -209,10 +210,10 @@ def _outer_edges(triangles: IntArray) -> IntArray:
 
 
 def _weights_beyond(
-    corners: FloatArray, edges: IntArray, pixels: FloatArray
+    vertices: FloatArray, edges: IntArray, pixels: FloatArray
 ) -> tuple[IntArray, FloatArray]:
-    """Blend at the nearest point of the outer edges (e, 2): an edge's two views or a corner's."""
-    start, end = corners[edges[:, 0]], corners[edges[:, 1]]
+    """Blend at the nearest point of the outer edges (e, 2): an edge's two views or a vertex's."""
+    start, end = vertices[edges[:, 0]], vertices[edges[:, 1]]
     edge = end - start
     along = np.einsum("nej,ej->ne", pixels[:, None] - start, edge) / np.sum(edge**2, axis=1)
     along = np.clip(along, 0.0, 1.0)

@@ -1,6 +1,6 @@
 """Where the light field is rendered: the choice between the CPU and a GPU.
 
-Nothing here loads a graphics library before one is asked for.
+No graphics library is loaded before a GPU is asked for.
 """
 
 import logging
@@ -21,9 +21,9 @@ INSTALL = 'pip install "lfnav[gpu]"'
 class Device(StrEnum):
     """Where the light field is rendered and compared.
 
-    AUTO: on a graphics card where there is one that lfnav can use, else on the CPU.
+    AUTO: on a GPU where there is one that lfnav can use, else on the CPU.
     CPU: on the CPU.
-    GPU: on a graphics card, or on the driver's software adapter where there is no other.
+    GPU: on a GPU, or on the driver's software adapter where there is no other.
     """
 
     AUTO = "auto"
@@ -32,18 +32,18 @@ class Device(StrEnum):
 
 
 def resolved_device(device: Device) -> Device:
-    """What ``AUTO`` means here; the others stay what they are."""
+    """The device that a choice means on this machine: ``CPU`` or ``GPU``."""
     if device is not Device.AUTO:
         return device
     return Device.CPU if chosen_gpu(device) is None else Device.GPU
 
 
 def chosen_gpu(device: Device) -> "Gpu | None":
-    """Opens the graphics card that a choice means; None: the CPU does the work.
+    """Opens the GPU that a choice means; None: the CPU does the work.
 
     Raises:
         OptionError: ``GPU``, and the extra is not installed or there is no adapter.
-        StageError: the card does not open.
+        StageError: the GPU does not open.
     """
     if device is Device.CPU or not _is_installed(device):
         return None
@@ -52,7 +52,7 @@ def chosen_gpu(device: Device) -> "Gpu | None":
     gpu = open_gpu(accept_software=device is Device.GPU)
     if gpu is None and device is Device.GPU:
         raise OptionError(
-            "device gpu: no adapter for Vulkan, Metal or DX12 here; install the card's driver "
+            "device gpu: no adapter for Vulkan, Metal or DX12 here; install the GPU's driver "
             "(Debian's software adapter: mesa-vulkan-drivers), or choose device cpu"
         )
     logger.info("rendering on %s", "the CPU" if gpu is None else gpu.name)
@@ -78,7 +78,7 @@ def _is_installed(device: Device) -> bool:
         if device is Device.GPU:
             raise OptionError(
                 f"device gpu: wgpu is there but does not load ({error}); "
-                f"install it anew with {INSTALL}, or choose device cpu"
+                f"reinstall it with {INSTALL}, or choose device cpu"
             ) from error
         logger.warning("wgpu is there but does not load (%s); rendering on the CPU", error)
         return False

@@ -1,4 +1,4 @@
-"""How well does a light field show what a camera sees? Held-out photos against rendered views.
+"""How well a light field predicts photos: held-out photos compared with rendered views.
 
 Either another data set with known poses is rendered, or every view of the scene from all others.
 Beside the rendering stand two baselines: the nearest photo as it is, and the same light field over
@@ -28,7 +28,7 @@ from pipelines.render.held_out import (
 )
 from pipelines.render.image_quality import psnr, ssim
 from pipelines.render.renderer import Renderer
-from pipelines.render.surface import TURN_COST, Quality, quality_named
+from pipelines.render.surface import ROTATION_COST, Quality, quality_named
 
 METHODS = ("light_field", "plane", "nearest_photo")
 MEASURES = ("psnr_db", "ssim", "coverage")
@@ -41,8 +41,8 @@ class SceneEvaluation:
     Attributes:
         scene_path: the scene.
         against: what it was compared with, for people.
-        quality: of the light field's surface.
-        blending: its rule.
+        quality: name of the surface's quality.
+        blending: name of its rule.
         values: method -> measure -> ``(F,)``.
     """
 
@@ -104,7 +104,7 @@ def evaluate_scene(
         dataset: photos with poses; None: each view of the scene, from all the others.
         poses: TUM file of the data set's world_from_body; None: its ground truth.
         quality: name of a ``Quality``; None: the finest that the scene has depth maps for.
-        blending: the rule.
+        blending: the rule that chooses and weights the views.
         progress: told how far the work is.
         interior: without a data set: only views that were taken amid the others.
 
@@ -163,14 +163,14 @@ def _shown(
 
 
 def _nearest_photo(photo: HeldOut) -> tuple[ImageArray, BoolArray]:
-    """The photo taken from the nearest place in the most similar direction, as it is."""
+    """The photo taken from the nearest position in the most similar direction, unchanged."""
     arrays = photo.views.arrays
     pose = photo.world_from_camera
     distance = np.linalg.norm(arrays.centres - pose[:3, 3], axis=1)
-    turn = np.sqrt(np.maximum(2.0 - 2.0 * (arrays.axes @ pose[:3, 2]), 0.0))
-    # Lengths count in units of the usual distance between neighbouring recording centres.
-    usual = float(np.median(distance)) or 1.0
-    nearest = int(np.argmin(distance / usual + TURN_COST * turn))
+    rotation = np.sqrt(np.maximum(2.0 - 2.0 * (arrays.axes @ pose[:3, 2]), 0.0))
+    # Lengths count in units of the median distance from the recording centres.
+    unit = float(np.median(distance)) or 1.0
+    nearest = int(np.argmin(distance / unit + ROTATION_COST * rotation))
     size = (photo.intrinsics.width, photo.intrinsics.height)
     image = cv2.resize(photo.views.level(nearest, 0), size, interpolation=cv2.INTER_AREA)
     return np.asarray(image, dtype=np.uint8), np.ones(size[::-1], dtype=bool)

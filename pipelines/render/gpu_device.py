@@ -1,6 +1,6 @@
-"""Graphics cards through wgpu (Vulkan, Metal, DX12), without a window: opening, buffers, textures.
+"""GPUs through wgpu (Vulkan, Metal, DX12), without a window: opening, buffers, textures.
 
-The only module, with its neighbours ``gpu_*``, that knows wgpu; imported when a card is asked for.
+Only this module and its neighbours ``gpu_*`` use wgpu; they are imported when a GPU is asked for.
 """
 
 import os
@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from pipelines.artifacts.errors import StageError
 
 BACKENDS = ("Vulkan", "Metal", "D3D12")
-# From the best on; other types (virtual, unknown) come between.
+# Adapter types, best first; other types (virtual, unknown) come after these and before SOFTWARE.
 PREFERRED = ("DiscreteGPU", "IntegratedGPU")
 SOFTWARE = "CPU"
-# As much of these as the card has; of all others what every card has is enough.
+# Limits that are raised to what the GPU has; of all others the defaults are enough.
 LIMITS = (
     "max-buffer-size",
     "max-storage-buffer-binding-size",
@@ -28,8 +28,9 @@ LIMITS = (
     "max-texture-dimension-2d",
     "max-compute-workgroups-per-dimension",
 )
-# What is bound holds at least one element: none is larger than this. Sizes are multiples of words.
-SMALLEST_BUFFER, WORD_OF_FOUR = 256, 16
+# Bytes: a bound buffer holds at least one element, none of which is larger than the first number;
+# sizes are multiples of the second, four words.
+SMALLEST_BUFFER, UNIT_BYTES = 256, 16
 
 LONGEST_REASON = 200  # characters
 
@@ -39,14 +40,14 @@ UNIFORM = wgpu.BufferUsage.UNIFORM | wgpu.BufferUsage.COPY_DST
 
 @dataclass(frozen=True)
 class Gpu:
-    """An open graphics card.
+    """An open GPU.
 
     Attributes:
         device: wgpu's device.
-        name: the card's and its interface's names.
-        is_software: whether it is no card but a program on the CPU.
-        limits: wgpu's names of limits and their values.
-        programs: what was compiled for it, by source text.
+        name: names of the GPU and of its interface.
+        is_software: whether it is a software adapter, which runs on the CPU.
+        limits: wgpu's name of a limit -> its value.
+        programs: source text -> the programs compiled from it, by entry point.
     """
 
     device: Any
@@ -65,7 +66,7 @@ def open_gpu(accept_software: bool) -> Gpu | None:
     """Opens the best adapter; None where there is none.
 
     Args:
-        accept_software: whether an adapter that is a program on the CPU counts.
+        accept_software: whether a software adapter may be opened.
 
     Raises:
         StageError: the adapter does not open.
@@ -80,7 +81,7 @@ def open_gpu(accept_software: bool) -> Gpu | None:
         if not adapters:
             return None
         adapter = min(adapters, key=_rank)
-        with card_errors():
+        with gpu_errors():
             wanted = {name: adapter.limits[name] for name in LIMITS}
             device = adapter.request_device_sync(required_limits=wanted)
     info = adapter.info
@@ -101,7 +102,7 @@ def _rank(adapter: Any) -> int:
 
 @contextmanager
 def _quiet_windowing() -> Iterator[None]:
-    """Drivers look for a display where XDG_RUNTIME_DIR says, and complain where it says nothing."""
+    """Sets XDG_RUNTIME_DIR, without which drivers complain when they look for a display."""
     name = "XDG_RUNTIME_DIR"
     if name in os.environ:
         yield
@@ -114,26 +115,24 @@ def _quiet_windowing() -> Iterator[None]:
 
 
 @contextmanager
-def card_errors() -> Iterator[None]:
-    """What fails on the card becomes one line.
+def gpu_errors() -> Iterator[None]:
+    """Turns errors of the GPU into one line.
 
     Raises:
-        StageError: no memory, a lost device, a program that it refuses.
+        StageError: no memory, a lost device, or a program that is refused.
     """
     try:
         yield
     except wgpu.GPUOutOfMemoryError as error:
-        raise StageError(
-            "the graphics card's memory is full; use smaller photos or device cpu"
-        ) from error
+        raise StageError("the GPU's memory is full; use smaller photos or device cpu") from error
     except (wgpu.GPUError, RuntimeError) as error:
         # Several lines, the cause last.
         reason = " ".join(str(error).split())[-LONGEST_REASON:] or type(error).__name__
-        raise StageError(f"the graphics card failed ({reason}); use device cpu") from error
+        raise StageError(f"the GPU failed ({reason}); use device cpu") from error
 
 
 def upload(gpu: Gpu, values: NDArray[Any]) -> Any:
-    """A buffer that programs read, with these values."""
+    """A storage buffer with these values."""
     data = np.ascontiguousarray(values).tobytes()
     data += bytes(max(SMALLEST_BUFFER - len(data), 0))
     return gpu.device.create_buffer_with_data(data=data, usage=STORAGE)
@@ -149,7 +148,14 @@ def texture_array(gpu: Gpu, pixel_format: str, width: int, height: int, layers: 
 
 
 def fill_layer(gpu: Gpu, texture: Any, layer: int, pixels: NDArray[Any]) -> None:
-    """Writes one layer: ``(height, width, ...)`` of the texture's format."""
+    """Writes one layer of a texture.
+
+    Args:
+        gpu: which has the texture.
+        texture: of several layers.
+        layer: which of them.
+        pixels: ``(height, width, ...)`` in the texture's format.
+    """
     height, width = pixels.shape[:2]
     gpu.device.queue.write_texture(
         {"texture": texture, "origin": (0, 0, layer)},
@@ -160,20 +166,20 @@ def fill_layer(gpu: Gpu, texture: Any, layer: int, pixels: NDArray[Any]) -> None
 
 
 def layers_of(texture: Any) -> Any:
-    """How programs see a texture of several layers, even if there is but one."""
+    """The view of a texture as an array of layers, even if there is but one."""
     return texture.create_view(dimension="2d-array")
 
 
 class Scratch:
-    """Buffers that programs write, kept from call to call and only ever made larger."""
+    """Scratch buffers, kept from call to call and only ever enlarged."""
 
     def __init__(self, gpu: Gpu) -> None:
         self._gpu = gpu
         self._buffers: dict[str, Any] = {}
 
     def buffer(self, name: str, size: int, usage: int = STORAGE) -> Any:
-        """A buffer of this name of at least so many bytes; what was in it may be gone."""
-        size = max(-(-size // WORD_OF_FOUR) * WORD_OF_FOUR, SMALLEST_BUFFER)
+        """A buffer of this name of at least so many bytes; its earlier content may be lost."""
+        size = max(-(-size // UNIT_BYTES) * UNIT_BYTES, SMALLEST_BUFFER)
         found = self._buffers.get(name)
         if found is not None and found.size >= size:
             return found
@@ -191,21 +197,21 @@ def read_back(gpu: Gpu, buffer: Any, count: int) -> NDArray[np.float32]:
 
 @dataclass(frozen=True)
 class Program:
-    """A compiled entry point and what it takes."""
+    """A compiled entry point and the layout of its bindings."""
 
     pipeline: Any
     layout: Any
 
 
 def bind(gpu: Gpu, program: Program, resources: Sequence[Any]) -> Any:
-    """Puts buffers and texture views at a program's places 0, 1, 2, ..."""
+    """Binds buffers and texture views to a program's bindings 0, 1, 2, ..."""
     entries = [
         {
-            "binding": place,
+            "binding": binding,
             "resource": resource
             if isinstance(resource, wgpu.GPUTextureView)
             else {"buffer": resource, "offset": 0, "size": resource.size},
         }
-        for place, resource in enumerate(resources)
+        for binding, resource in enumerate(resources)
     ]
     return gpu.device.create_bind_group(layout=program.layout, entries=entries)

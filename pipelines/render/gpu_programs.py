@@ -1,7 +1,7 @@
-"""The programs that run on a graphics card: WGSL files, constants from the Python side, entries.
+"""The programs that run on a GPU: WGSL files, constants from the Python side, entry points.
 
-The constants of the rules (penalties, limits, costs of uncovered pixels) stand in the modules that
-explain them, and are put in front of the shaders' text.
+The constants of the rules (penalties, limits, costs of uncovered pixels) are defined in the modules
+that explain them, and are put in front of the shaders' text.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,13 +15,16 @@ from pipelines.lightfield import view_penalties
 from pipelines.render import blending, comparison, delaunay_mesh, reference, surface
 from pipelines.render.blending import Blending
 from pipelines.render.comparison import Cost
-from pipelines.render.gpu_device import Gpu, Program, card_errors
+from pipelines.render.gpu_device import Gpu, Program, gpu_errors
 
 Constant = bool | int | float
 
-# What a program takes at its places 0, 1, 2, ...; see the shaders.
+# Entry points that make the tiles of the unstructured lumigraph, in this order.
+TILE_STEPS = ("select_candidates", "weight_corners", "join_tiles")
+
+# Kinds of a program's bindings 0, 1, 2, ..., as the shaders declare them.
 SHARED = ("uniform", "read", "read", "depths")
-SIGHT = (*SHARED, "write", "read")
+VISIBILITY = (*SHARED, "write", "read")
 DRAWING = (*SHARED, "write", "read", "read", "texels", "write")
 COMPARISON = (*DRAWING, "read", "write")
 SURFACE = (*SHARED, "read", "write", "write")
@@ -32,7 +35,7 @@ class Programs:
     """Compiles the programs of one kind of light field.
 
     Attributes:
-        gpu: the card.
+        gpu: for which they are compiled.
         rule: how views are blended.
         has_depth: whether the surface comes from depth maps.
     """
@@ -42,10 +45,10 @@ class Programs:
     has_depth: bool
 
     def drawing(self) -> dict[str, Program]:
-        """The steps of rendering images: ``narrow``, ``weigh``, ``join`` for tiles; ``draw``."""
+        """The steps of rendering images: ``TILE_STEPS``, where there are tiles; then ``draw``."""
         names, entries = [*self._shading(), "drawing"], ["draw"]
         if self.rule is Blending.UNSTRUCTURED:
-            names, entries = [*names, "building"], ["narrow", "weigh", "join", *entries]
+            names, entries = [*names, "tiles"], [*TILE_STEPS, *entries]
         return self._compiled(names, {}, DRAWING, entries)
 
     def comparison(self, cost: Cost, fit_gain: bool) -> Program:
@@ -61,36 +64,37 @@ class Programs:
         return self._compiled(names, constants, COMPARISON, ["compare"])["compare"]
 
     def surface(self) -> Program:
-        """The surface from depth maps: ``follow``."""
-        return self._compiled(["geometry", "surface"], {}, SURFACE, ["follow"])["follow"]
+        """The surface from depth maps: ``build_surface``."""
+        entry = "build_surface"
+        return self._compiled(["geometry", "surface"], {}, SURFACE, [entry])[entry]
 
-    def sight(self) -> Program:
-        """Which views see anything: ``look``."""
-        names = ["geometry", "surface_lookup", "sight"]
-        return self._compiled(names, {}, SIGHT, ["look"])["look"]
+    def visibility(self) -> Program:
+        """Which views see any of the virtual frustum: ``find_visible``."""
+        names, entry = ["geometry", "surface_lookup", "visibility"], "find_visible"
+        return self._compiled(names, {}, VISIBILITY, [entry])[entry]
 
     def _shading(self) -> list[str]:
-        cells = "weights" if self.rule is Blending.UNSTRUCTURED else "net"
-        return ["geometry", "surface_lookup", cells, "shading"]
+        weights = "weights" if self.rule is Blending.UNSTRUCTURED else "mesh"
+        return ["geometry", "surface_lookup", weights, "shading"]
 
     def _compiled(
         self,
         names: Sequence[str],
         constants: Mapping[str, Constant],
-        places: Sequence[str],
+        bindings: Sequence[str],
         entries: Sequence[str],
     ) -> dict[str, Program]:
-        """Entry points that take the same things, compiled when the card has not seen them yet."""
+        """Entry points with the same bindings, compiled unless the GPU has them already."""
         device, programs = self.gpu.device, self.gpu.programs
         text = source(names, {"HAS_DEPTH": self.has_depth, **rule_constants(), **constants})
         if text in programs:
             return programs[text]
-        with card_errors():
+        with gpu_errors():
             module = device.create_shader_module(code=text)
             layout = device.create_bind_group_layout(
                 entries=[
-                    {"binding": place, "visibility": wgpu.ShaderStage.COMPUTE, **_place(kind)}
-                    for place, kind in enumerate(places)
+                    {"binding": number, "visibility": wgpu.ShaderStage.COMPUTE, **_binding(kind)}
+                    for number, kind in enumerate(bindings)
                 ]
             )
             pipeline_layout = device.create_pipeline_layout(bind_group_layouts=[layout])
@@ -112,13 +116,13 @@ def needs_two_passes(cost: Cost, fit_gain: bool) -> bool:
 
 
 def rule_constants() -> dict[str, Constant]:
-    """Of the blending and of the surface."""
+    """Constants of the blending and of the surface."""
     return {
         "FRUSTUM_SAMPLES": reference.FRUSTUM_SAMPLES,
         "SMALLEST_WEIGHT": reference.SMALLEST_WEIGHT,
         "SMALLEST_RELATIVE_DEPTH": delaunay_mesh.SMALLEST_RELATIVE_DEPTH,
         "MOST_RANKED": blending.MOST_RANKED,
-        "OUTLOOK_POINTS": blending.OUTLOOK_POINTS,
+        "CANDIDATE_POINTS": blending.CANDIDATE_POINTS,
         "RESOLUTION_PENALTY": view_penalties.RESOLUTION_PENALTY,
         "BORDER_SHARE": view_penalties.BORDER_SHARE,
         "BORDER_PENALTY": view_penalties.BORDER_PENALTY,
@@ -127,7 +131,7 @@ def rule_constants() -> dict[str, Constant]:
         "OCCLUSION_FACTOR": blending.OCCLUSION_FACTOR,
         "SOURCE_VIEWS": surface.SOURCE_VIEWS,
         "PIXEL_PARTS": surface.PIXEL_PARTS,
-        "TURN_COST": surface.TURN_COST,
+        "ROTATION_COST": surface.ROTATION_COST,
         "PINHOLE_FACTOR": surface.PINHOLE_FACTOR,
         "PINHOLE_NEIGHBOURS": surface.PINHOLE_NEIGHBOURS,
         "EDGE_FACTOR": surface.EDGE_FACTOR,
@@ -135,7 +139,7 @@ def rule_constants() -> dict[str, Constant]:
 
 
 def cost_constants() -> dict[str, Constant]:
-    """Of the comparison."""
+    """Constants of the comparison."""
     return {
         "ROBUST_LIMIT": comparison.ROBUST_LIMIT,
         "GRADIENT_LIMIT": comparison.GRADIENT_LIMIT,
@@ -164,7 +168,7 @@ def _declared(name: str, value: Constant) -> str:
     return f"const {name}: f32 = {value!r};"
 
 
-def _place(kind: str) -> dict[str, Any]:
+def _binding(kind: str) -> dict[str, Any]:
     if kind in ("depths", "texels"):
         sample = "unfilterable-float" if kind == "depths" else "uint"
         return {"texture": {"sample_type": sample, "view_dimension": "2d-array"}}

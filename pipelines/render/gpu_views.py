@@ -1,7 +1,7 @@
-"""The photos as a graphics card takes them: pyramids and depth maps in texture arrays, and tables.
+"""The photos as a GPU takes them: pyramids and depth maps in texture arrays, and tables.
 
-A pyramid lies in one piece: the finest level, the others one below the other to its right. Each
-view has a layer of its own while the card has layers enough; beyond that several share one, side by
+A pyramid is one rectangle: the finest level, and to its right the others, one below the other. Each
+view has a layer of its own while the GPU has layers enough; beyond that several share one, side by
 side.
 """
 
@@ -28,10 +28,10 @@ class Placement:
 
     Attributes:
         origin: ``(N, 2)`` column and row of their upper left corners.
-        layer: ``(N,)``.
-        width: of the layers.
-        height: likewise.
-        layers: their number.
+        layer: ``(N,)`` the layer of each.
+        width: width of the layers, pixels.
+        height: height of the layers, pixels.
+        layers: number of layers.
     """
 
     origin: IntArray
@@ -43,19 +43,19 @@ class Placement:
 
 @dataclass(frozen=True)
 class GpuViews:
-    """The photos on a card.
+    """The photos on a GPU.
 
     Attributes:
-        count: of the views that may take part.
-        levels: of the pyramids.
-        origin: ``(3,)`` world coordinates of what is the origin on the card: lengths there are of
+        count: number of views that may take part.
+        levels: number of levels of their pyramids.
+        origin: ``(3,)`` world coordinates of the origin on the GPU, near the photos: it computes in
             single precision.
-        table: buffer of ``View``, see ``geometry.wgsl``.
+        table: buffer of ``View`` of ``geometry.wgsl``.
         areas: buffer of the levels' rectangles, ``(count, levels, 4)``.
         texels: texture view, RGB.
         depths: texture view, inverse depths.
-        views: the photos themselves.
-        chosen: ``(count,)`` their indices.
+        views: all photos, in the computer's memory.
+        chosen: ``(count,)`` indices of the photos on the GPU.
     """
 
     count: int
@@ -70,15 +70,15 @@ class GpuViews:
 
 
 def upload_views(gpu: Gpu, views: Views, usable: BoolArray) -> GpuViews:
-    """Puts the usable ones of the views on a card.
+    """Uploads views to a GPU.
 
     Args:
-        gpu: the card.
-        views: the light field.
-        usable: ``(N,)`` views that may take part.
+        gpu: the GPU.
+        views: the light field's photos.
+        usable: ``(N,)`` views that may take part, and are uploaded.
 
     Raises:
-        StageError: photos larger than the card's textures.
+        StageError: photos larger than the GPU's textures.
     """
     chosen = np.flatnonzero(usable)
     arrays = views.arrays
@@ -105,10 +105,15 @@ def upload_views(gpu: Gpu, views: Views, usable: BoolArray) -> GpuViews:
 
 
 def placement(count: int, extent: IntArray, gpu: Gpu) -> Placement:
-    """Spreads rectangles of at most ``extent`` (2,) pixels over layers: one each, if possible.
+    """Places rectangles in layers: one in each, if possible.
+
+    Args:
+        count: number of rectangles.
+        extent: ``(2,)`` width and height of the largest.
+        gpu: whose textures they have to fit into.
 
     Raises:
-        StageError: one is larger than the card's textures, or all together are.
+        StageError: one is larger than the GPU's textures, or all together are.
     """
     largest, most = gpu.limits["max-texture-dimension-2d"], gpu.limits["max-texture-array-layers"]
     width, height = int(extent[0]), int(extent[1])
@@ -118,7 +123,7 @@ def placement(count: int, extent: IntArray, gpu: Gpu) -> Placement:
     if columns * width > largest or rows * height > largest:
         raise StageError(
             f"{count} photos whose pyramids are of {width}x{height} pixels do not fit into this "
-            f"card's textures ({most} layers of {largest}x{largest}); use device cpu"
+            f"GPU's textures ({most} layers of {largest}x{largest}); use device cpu"
         )
     number = np.arange(count)
     column, row = number % together % columns, number % together // columns
@@ -134,7 +139,15 @@ def placement(count: int, extent: IntArray, gpu: Gpu) -> Placement:
 def view_table(
     views: Views, chosen: IntArray, origin: FloatArray, photos: Placement, maps: Placement
 ) -> WordArray:
-    """``(n, 20)`` words: ``View`` of ``geometry.wgsl``."""
+    """``(n, 20)`` words: ``View`` of ``geometry.wgsl``.
+
+    Args:
+        views: the light field's photos.
+        chosen: ``(n,)`` indices of the photos on the GPU.
+        origin: ``(3,)`` world coordinates of the origin on the GPU.
+        photos: where their pyramids are placed.
+        maps: where their depth maps are placed; none where there are none.
+    """
     arrays = views.arrays
     table = np.zeros((len(chosen), 20), dtype=np.uint32)
     numbers = table.view(np.float32)
@@ -154,29 +167,34 @@ def view_table(
 
 
 def pose_table(world_from_camera: FloatArray, origin: FloatArray) -> Float32Array:
-    """``(M, 12)`` numbers: ``Pose`` of ``geometry.wgsl``."""
+    """``(M, 12)`` numbers: ``Pose`` of ``geometry.wgsl``.
+
+    Args:
+        world_from_camera: ``(M, 4, 4)``.
+        origin: ``(3,)`` world coordinates of the origin on the GPU.
+    """
     rows = np.empty((len(world_from_camera), 3, 4), dtype=np.float32)
     rows[..., :3] = world_from_camera[:, :3, :3]
     rows[..., 3] = world_from_camera[:, :3, 3] - origin
     return rows.reshape(-1, 12)
 
 
-def source_table(card: GpuViews, intrinsics: Intrinsics, spacing: float) -> WordArray:
+def source_table(gpu_views: GpuViews, intrinsics: Intrinsics, spacing: float) -> WordArray:
     """``(n, 16)`` words: ``Source`` of ``surface.wgsl``.
 
     Args:
-        card: the photos on the card.
+        gpu_views: the photos on the GPU.
         intrinsics: of the virtual camera.
-        spacing: of the mesh's corners, virtual pixels.
+        spacing: of the depth grid, virtual pixels.
     """
-    arrays = card.views.arrays
-    table = np.zeros((card.count, 16), dtype=np.uint32)
-    rows = np.zeros((card.count, 3, 4), dtype=np.float32)
-    rows[..., :3] = arrays.rays[card.chosen]
-    rows[..., 3] = arrays.axes[card.chosen]
+    arrays, chosen = gpu_views.views.arrays, gpu_views.chosen
+    table = np.zeros((len(chosen), 16), dtype=np.uint32)
+    rows = np.zeros((len(chosen), 3, 4), dtype=np.float32)
+    rows[..., :3] = arrays.rays[chosen]
+    rows[..., 3] = arrays.axes[chosen]
     table[:, :12] = rows.reshape(-1, 12).view(np.uint32)
     focal = 0.5 * (intrinsics.fx + intrinsics.fy)
-    table[:, 12] = sample_steps(arrays, focal, spacing)[card.chosen]
+    table[:, 12] = sample_steps(arrays, focal, spacing)[chosen]
     return table
 
 

@@ -1,4 +1,4 @@
-"""Photos that a light field does not hold, each with the light field that it is held against."""
+"""Held-out photos, each with a light field that does not hold it."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""How alike are a rendered and a recorded image? PSNR and SSIM over the covered pixels."""
+"""Image quality of rendered views: PSNR and SSIM over the covered pixels."""
 
 import cv2
 import numpy as np

@@ -1,4 +1,4 @@
-"""The renderer's path through the C++ core: surfaces and blending of all kinds."""
+"""The C++ core's renderer: the light field, its surfaces and its rules as the core takes them."""
 
 from dataclasses import dataclass, replace
 from functools import partial
@@ -25,7 +25,7 @@ from pipelines.render.blending import (
     OCCLUSION_FACTOR,
     SMALLEST_PENALTY,
     Blending,
-    outlook_positions,
+    candidate_positions,
     tile_borders,
 )
 from pipelines.render.candidate_views import ViewIndex
@@ -34,7 +34,7 @@ from pipelines.render.comparison import (
     EVIDENCE_BINS,
     LIMITS,
     UNCOVERED,
-    Cost,
+    PreparedQuery,
 )
 from pipelines.render.delaunay_mesh import MESH_LIMITS
 from pipelines.render.depth_samples import DepthSamples, take_samples
@@ -45,21 +45,21 @@ from pipelines.render.surface import (
     LARGEST_GAP_SHARE,
     PINHOLE_FACTOR,
     PINHOLE_NEIGHBOURS,
+    ROTATION_COST,
     SOURCE_VIEWS,
-    TURN_COST,
     Quality,
-    cell_size,
+    grid_spacing,
 )
 
 
 @dataclass(frozen=True)
 class Surfaces:
-    """What the surfaces that are seen from B poses are made of.
+    """What the surfaces seen from B poses are made of.
 
     Attributes:
-        samples: of depth maps; None: the surface is the plane.
-        sources: ``(B, S)`` the views whose depth maps make each surface; -1 behind the last.
-        spacing: of the vertices that approximate it, pixels.
+        samples: samples of depth maps; None: the surface is the plane.
+        sources: ``(B, S)`` the views whose depth maps make each surface; -1 after the last.
+        spacing: of the depth grid's vertices, virtual pixels.
     """
 
     samples: DepthSamples | None
@@ -74,13 +74,13 @@ class NativeRenderer:
     """Renders and compares views of a light field.
 
     Args:
-        views: the photos.
-        index: of those that may take part.
-        usable: ``(N,)`` which these are.
+        views: the light field's photos.
+        index: of the views that may take part.
+        usable: ``(N,)`` views that may take part.
         plane: the surface where ``quality`` is ``PLANE``.
         blending: the rule that chooses and weights the views.
         quality: how finely the surface follows the views' depth maps.
-        usual_inverse_depth: of the depth maps, see ``proxy.usual_inverse_depth``.
+        typical_inverse_depth: median of all depth maps' known values, 1 / metres.
     """
 
     def __init__(
@@ -91,11 +91,11 @@ class NativeRenderer:
         plane: Plane,
         blending: Blending,
         quality: Quality,
-        usual_inverse_depth: float,
+        typical_inverse_depth: float,
     ) -> None:
         arrays = views.arrays
         self._views, self._quality = views, quality
-        self._usual_inverse_depth = usual_inverse_depth
+        self._typical_inverse_depth = typical_inverse_depth
         self._light_field = LightField(
             texels=arrays.texels,
             level_start=arrays.level_start,
@@ -107,8 +107,8 @@ class NativeRenderer:
             inverse_depth=arrays.inverse_depth,
             depth_start=arrays.depth_start,
             depth_size=arrays.depth_size,
-            pooled_depth=arrays.blocks,
-            pooled_start=arrays.block_start,
+            pooled_depth=arrays.pooled_depth,
+            pooled_start=arrays.pooled_start,
             usable=usable,
             origin=index.origin,
             order=index.order,
@@ -137,82 +137,72 @@ class NativeRenderer:
         self._samples = SampleStore(arrays, partial(take_samples, arrays))
 
     def surfaces(self, poses: FloatArray, intrinsics: Intrinsics) -> Surfaces:
-        """What the surfaces are made of that virtual cameras see from poses ``(B, 4, 4)``."""
+        """What the surfaces seen by virtual cameras are made of.
+
+        Args:
+            poses: ``(B, 4, 4)`` world_from_camera.
+            intrinsics: of the virtual cameras.
+        """
         if self._quality is Quality.PLANE:
             return Surfaces(None, np.empty((len(poses), 0), np.int32), 1.0)
         sources = self._light_field.sources(
-            poses, self._usual_inverse_depth, TURN_COST, SOURCE_VIEWS
+            poses, self._typical_inverse_depth, ROTATION_COST, SOURCE_VIEWS
         )
         is_source = np.zeros(len(self._views), np.bool_)
         is_source[sources[sources >= 0]] = True
-        spacing = float(cell_size(self._views, intrinsics, self._quality))
+        spacing = float(grid_spacing(self._views, intrinsics, self._quality))
         samples = self._samples(is_source, 0.5 * (intrinsics.fx + intrinsics.fy), spacing)
         return Surfaces(samples, sources, spacing)
 
     def draw(
-        self, poses: FloatArray, surfaces: Surfaces, intrinsics: Intrinsics, chosen: Int32Array
+        self, poses: FloatArray, surfaces: Surfaces, intrinsics: Intrinsics, pixels: Int32Array
     ) -> tuple[Float32Array, Float32Array]:
-        """Views from poses ``(B, 4, 4)``.
+        """Renders pixels of virtual views.
 
         Args:
-            poses: world_from_camera.
-            surfaces: that are seen from there.
+            poses: ``(B, 4, 4)`` world_from_camera.
+            surfaces: seen from these poses.
             intrinsics: of the virtual camera.
-            chosen: ``(P,)`` which pixels, rising.
+            pixels: ``(P,)`` indices of the pixels, rising.
 
         Returns:
             ``(B, P, 4)`` RGB and whether the pixel is covered, and inverse depths ``(B, P)``.
         """
-        return self._virtual_views(poses, surfaces, intrinsics, chosen).render()
+        return self._virtual_views(poses, surfaces, intrinsics, pixels).render()
 
-    def costs(
-        self,
-        poses: FloatArray,
-        surfaces: Surfaces,
-        intrinsics: Intrinsics,
-        chosen: Int32Array,
-        target: Float32Array,
-        cost: Cost,
-        fit_gain: bool,
-        table: Float32Array,
-    ) -> FloatArray:
-        """Costs ``(B,)`` of the views from poses ``(B, 4, 4)``.
+    def costs(self, poses: FloatArray, surfaces: Surfaces, query: PreparedQuery) -> FloatArray:
+        """Costs ``(B,)`` of virtual views compared with a camera image.
 
         Args:
-            poses: world_from_camera.
-            surfaces: that are seen from there.
-            intrinsics: of the camera image.
-            chosen: ``(P,)`` its pixels that are compared, rising.
-            target: ``(h, w, 4)`` these pixels, see ``comparison.compare``.
-            cost: the kind of comparison.
-            fit_gain: whether a brightness factor is fitted for each pose.
-            table: see there; empty but for EVIDENCE.
+            poses: ``(B, 4, 4)`` world_from_camera.
+            surfaces: seen from these poses.
+            query: the camera image.
         """
-        return self._virtual_views(poses, surfaces, intrinsics, chosen).costs(
-            query=target,
-            cost=int(cost),
-            fit_gain=fit_gain,
+        return self._virtual_views(poses, surfaces, query.intrinsics, query.pixels).costs(
+            query=query.target,
+            cost=int(query.cost),
+            fit_gain=query.fit_gain,
             limits=LIMITS,
             uncovered=UNCOVERED,
-            table=table.reshape((-1, EVIDENCE_BINS)),
+            table=query.table.reshape((-1, EVIDENCE_BINS)),
             evidence_bin=EVIDENCE_BIN,
         )
 
     def _virtual_views(
-        self, poses: FloatArray, surfaces: Surfaces, intrinsics: Intrinsics, chosen: Int32Array
+        self, poses: FloatArray, surfaces: Surfaces, intrinsics: Intrinsics, pixels: Int32Array
     ) -> VirtualViews:
-        """As the core takes them; see ``draw``."""
+        """Pixels of virtual views as the core takes them."""
         width, height = intrinsics.width, intrinsics.height
         return self._light_field.views(
             poses=poses,
             intrinsics=intrinsics.vector(),
             across=tile_borders(width),
             down=tile_borders(height),
-            probes_across=outlook_positions(width),
-            probes_down=outlook_positions(height),
+            probes_across=candidate_positions(width),
+            probes_down=candidate_positions(height),
             frustum_across=frustum_positions(width),
             frustum_down=frustum_positions(height),
-            pixels=chosen,
+            pixels=pixels,
             width=width,
             height=height,
             samples=surfaces.samples,

@@ -13,10 +13,11 @@ from pipelines.lightfield.views import Views, without_depth
 from pipelines.render.blending import Blending, occluded, unstructured_weights
 from pipelines.render.delaunay_mesh import PixelWeights, pixel_weights, project_centres
 from pipelines.render.surface import Quality, depth_inverse_depth
+from pipelines.render.view_mapping import ViewMapping
 
-# A view takes part in the net when it sees one of so many by so many points of the surface.
+# A view is in the mesh when it sees any of a grid of so many by so many points of the surface.
 FRUSTUM_SAMPLES = 5
-# Below this sum of weights the chosen views do not show the pixel.
+# Below this sum of weights the blended views do not show the pixel.
 SMALLEST_WEIGHT = 1e-6
 
 
@@ -50,50 +51,29 @@ def render_reference(
     else:
         surface = depth_inverse_depth(views, world_from_camera, intrinsics, quality)
         usable = np.ones(len(views), dtype=bool)
-    maps, shifts = view_mappings(views, world_from_camera, intrinsics)
+    mapping = ViewMapping.of(views, world_from_camera, intrinsics)
     if blending is Blending.DELAUNAY:
-        usable &= views_in_frustum(views, maps, shifts, surface)
+        usable &= views_in_frustum(views, mapping, surface)
     if not usable.any():
         return np.zeros((*shape, 3)), np.zeros(shape, dtype=bool)
     columns, rows = np.meshgrid(np.arange(shape[1]), np.arange(shape[0]))
-    pixels = np.stack([columns, rows, np.ones(shape)], axis=-1)  # [H, W, 3]
+    pixels: FloatArray = np.stack([columns, rows, np.ones(shape)], axis=-1)  # [H, W, 3]
     focal = 0.5 * (intrinsics.fx + intrinsics.fy)
     colours = np.zeros((len(views), *shape, 3))
     seen = np.zeros((len(views), *shape), dtype=bool)
     hidden = np.zeros((len(views), *shape), dtype=bool)
     for view in np.flatnonzero(usable):
-        target = pixels @ maps[view].T + surface[..., None] * shifts[view]
+        target = mapping.into_view(int(view), pixels, surface)
         width, height = views.arrays.level_size[view, 0]
         seen[view] = sees(target, width, height) & (surface > 0.0)
         hidden[view] = occluded(views, int(view), target, surface)
         colours[view] = sample_view(views, int(view), target, seen[view], focal)
     if blending is Blending.DELAUNAY:
-        weights = _net_weights(views, usable, world_from_camera, intrinsics)
+        weights = _mesh_weights(views, usable, world_from_camera, intrinsics)
     else:
-        weights = unstructured_weights(
-            views, usable, maps, shifts, surface, world_from_camera, intrinsics
-        )
-    corners = project_centres(views.centres, world_from_camera, intrinsics)
-    return _blend(weights, colours, seen, hidden, corners)
-
-
-def view_mappings(
-    views: Views, world_from_camera: FloatArray, intrinsics: Intrinsics
-) -> tuple[FloatArray, FloatArray]:
-    """The mappings from virtual pixels over the surface into each view.
-
-    A virtual pixel p at inverse depth d lies at C + R K^-1 p / d; multiplied by d this is linear in
-    p and d. For a plane d is linear in p too, and both together are the paper's B_i B_V^-1.
-
-    Returns:
-        ``(N, 3, 3)`` maps and ``(N, 3)`` shifts: ``map p + shift d`` are homogeneous pixels of the
-        views' finest levels, the third component being the view's depth divided by the virtual one.
-    """
-    rays = world_from_camera[:3, :3] @ np.linalg.inv(intrinsics.matrix())
-    projection = views.arrays.projection
-    maps = projection[:, :, :3] @ rays
-    shifts = projection[:, :, :3] @ world_from_camera[:3, 3] + projection[:, :, 3]
-    return maps, shifts
+        weights = unstructured_weights(views, usable, mapping, surface)
+    projected = project_centres(views.centres, world_from_camera, intrinsics)
+    return _blend(weights, colours, seen, hidden, projected)
 
 
 def frustum_positions(size: int) -> IntArray:
@@ -101,27 +81,32 @@ def frustum_positions(size: int) -> IntArray:
     return np.arange(FRUSTUM_SAMPLES) * (size - 1) // (FRUSTUM_SAMPLES - 1)
 
 
-def views_in_frustum(
-    views: Views, maps: FloatArray, shifts: FloatArray, surface: FloatArray
-) -> BoolArray:
-    """Which views see any of a grid of surface points of the virtual frustum, ``(N,)``."""
+def views_in_frustum(views: Views, mapping: ViewMapping, surface: FloatArray) -> BoolArray:
+    """Which views see any of a grid of surface points of the virtual frustum, ``(N,)``.
+
+    Args:
+        views: the light field's photos.
+        mapping: from the virtual camera into the views.
+        surface: ``(H, W)`` virtual inverse depth; 0 where there is no surface.
+    """
     height, width = surface.shape
     rows, columns = np.meshgrid(frustum_positions(height), frustum_positions(width), indexing="ij")
     depth = surface[rows, columns].reshape(-1)
     samples = np.stack([columns, rows, np.ones_like(rows)], axis=-1).reshape(-1, 3)
-    target = samples @ np.swapaxes(maps, 1, 2) + depth[:, None] * shifts[:, None]  # [N, S, 3]
+    linear = samples @ np.swapaxes(mapping.homographies, 1, 2)
+    target = linear + depth[:, None] * mapping.epipoles[:, None]  # [N, S, 3]
     size = views.arrays.level_size[:, 0]
     seen = sees(target, size[:, None, 0], size[:, None, 1]) & (depth > 0.0)
     return np.asarray(seen.any(axis=1))
 
 
-def _net_weights(
+def _mesh_weights(
     views: Views, usable: BoolArray, world_from_camera: FloatArray, intrinsics: Intrinsics
 ) -> PixelWeights:
-    """The net's weights with indices into all views, not only those that take part."""
+    """The Delaunay mesh's weights, with indices into all views and not only the usable ones."""
     indices = np.flatnonzero(usable)
-    net = pixel_weights(views.centres[indices], world_from_camera, intrinsics)
-    return PixelWeights(indices[net.views], net.weights)
+    own = pixel_weights(views.centres[indices], world_from_camera, intrinsics)
+    return PixelWeights(indices[own.views], own.weights)
 
 
 def sample_view(
@@ -130,8 +115,8 @@ def sample_view(
     """Bilinear samples of one view at the pyramid level that suits each pixel.
 
     Args:
-        views: the light field.
-        view: which.
+        views: the light field's photos.
+        view: which of them.
         target: ``(..., 3)`` homogeneous pixels in the view, the third component being the depth in
             the view divided by the virtual depth.
         seen: ``(...)`` where to sample; elsewhere the result is zero.
@@ -173,26 +158,37 @@ def _blend(
     colours: FloatArray,
     seen: BoolArray,
     hidden: BoolArray,
-    corners: FloatArray,
+    projected: FloatArray,
 ) -> tuple[FloatArray, BoolArray]:
-    """Weighted sum of what the chosen views show; what they do not show goes to the others."""
+    """Weighted sum of the chosen views; what one does not show is shared among the others.
+
+    Where none of them shows a pixel, a fallback view is taken: that with the nearest projected
+    centre.
+
+    Args:
+        weights: of each pixel.
+        colours: ``(N, H, W, 3)`` samples of all views.
+        seen: ``(N, H, W)`` pixels inside each view's image.
+        hidden: ``(N, H, W)`` pixels that are occluded in it.
+        projected: ``(N, 2)`` recording centres in the virtual image.
+    """
     grid = np.indices(seen.shape[1:])
     rows, columns = grid[0], grid[1]
     image = np.zeros((*seen.shape[1:], 3))
     total = np.zeros(seen.shape[1:])
-    for corner in range(weights.views.shape[-1]):
-        view = weights.views[..., corner]
+    for member in range(weights.views.shape[-1]):
+        view = weights.views[..., member]
         shown = seen[view, rows, columns] & ~hidden[view, rows, columns]
-        weight = np.maximum(weights.weights[..., corner], 0.0) * shown
+        weight = np.maximum(weights.weights[..., member], 0.0) * shown
         image += weight[..., None] * colours[view, rows, columns]
         total += weight
     blended = total > SMALLEST_WEIGHT
     image[blended] /= total[blended][:, None]
-    # Where no chosen view shows the pixel, the view with the nearest projected centre that does;
-    # one that may be occluded only where all others are: depth is not exact enough to leave holes.
+    # An occluded view is the fallback only where all others are occluded too: depth is not exact
+    # enough to leave holes.
     rest = ~blended
     pixels = np.stack([columns, rows], axis=-1)[rest].astype(float)
-    offsets = pixels[:, None] - corners  # [P, N, 2]
+    offsets = pixels[:, None] - projected  # [P, N, 2]
     distance: FloatArray = np.sum(offsets * offsets, axis=2)
     clear = np.where((seen & ~hidden)[:, rest].T, distance, np.inf)
     any_view = np.where(seen[:, rest].T, distance, np.inf)

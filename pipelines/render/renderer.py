@@ -1,4 +1,7 @@
-"""The front of the fast path: renders virtual views, compares many of them with a camera image."""
+"""The fast renderer: renders virtual views, and compares many of them with a camera image.
+
+It shares the work of the C++ core (``native_renderer``) among threads.
+"""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -11,7 +14,6 @@ from pipelines.artifacts.arrays import (
     Float32Array,
     FloatArray,
     ImageArray,
-    Int32Array,
 )
 from pipelines.artifacts.errors import OptionError
 from pipelines.artifacts.processes import processor_count
@@ -21,22 +23,14 @@ from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.views import Views, views_of_scene, without_depth, without_view
 from pipelines.render.blending import Blending
 from pipelines.render.candidate_views import build_index
-from pipelines.render.comparison import (
-    Cost,
-    PixelEvidence,
-    evidence_table,
-    prepared,
-    prepared_pixels,
-)
+from pipelines.render.comparison import Cost, PixelEvidence, every_pixel, prepare_query
 from pipelines.render.native_renderer import NativeRenderer
-from pipelines.render.surface import Quality
-from pipelines.render.surface import usual_inverse_depth as median_inverse_depth
+from pipelines.render.surface import Quality, median_inverse_depth
 
-# So many poses are compared in one call: enough to make its cost small, few enough to share work
-# evenly between threads. Rendered images are kept; there it is so many pixels.
-POSES_TOGETHER = 256
-PIXELS_TOGETHER = 80_000
-ONE = np.float32(1.0)
+# The most poses that are compared in one call of the core: enough to make its cost small, few
+# enough to share work evenly between threads. Where images are kept it is a number of pixels.
+POSES_A_CALL = 256
+PIXELS_A_CALL = 80_000
 
 
 @dataclass(frozen=True)
@@ -92,9 +86,9 @@ class Renderer:
         plane: the scene's surface where ``quality`` is ``PLANE``.
         blending: the rule that chooses and weights the views.
         quality: how finely the surface follows the views' depth maps.
-        threads: None: one a processor.
-        usual_inverse_depth: of the depth maps, see ``proxy.usual_inverse_depth``; None: not known
-            yet.
+        threads: how many work at the same time; None: one a processor.
+        typical_inverse_depth: median of all depth maps' known values, 1 / metres; None: it is
+            computed.
 
     Raises:
         OptionError: no threads, or a quality that needs depth maps where there are none.
@@ -107,7 +101,7 @@ class Renderer:
         blending: Blending = Blending.UNSTRUCTURED,
         quality: Quality = Quality.PLANE,
         threads: int | None = None,
-        usual_inverse_depth: float | None = None,
+        typical_inverse_depth: float | None = None,
     ) -> None:
         if threads is not None and threads < 1:
             raise OptionError(f"{threads} threads cannot do any work; give at least 1")
@@ -126,9 +120,9 @@ class Renderer:
         self._usable = np.ones(len(views), dtype=np.bool_)
         if quality is Quality.PLANE:
             self._usable = plane.signed_distance(views.centres) > 0.0
-        if usual_inverse_depth is None:
-            usual_inverse_depth = median_inverse_depth(self.views)
-        self._usual_inverse_depth = usual_inverse_depth
+        if typical_inverse_depth is None:
+            typical_inverse_depth = median_inverse_depth(self.views)
+        self._typical_inverse_depth = typical_inverse_depth
         self._native = NativeRenderer(
             self.views,
             build_index(self.views, self._usable),
@@ -136,7 +130,7 @@ class Renderer:
             plane,
             blending,
             quality,
-            usual_inverse_depth,
+            typical_inverse_depth,
         )
 
     @classmethod
@@ -149,19 +143,19 @@ class Renderer:
         threads: int | None = None,
         views: Views | None = None,
     ) -> "Renderer":
-        """A renderer of a scene's photos, on the CPU; on a device of choice: ``renderer_choice``.
+        """A renderer of a scene's photos on the CPU; ``renderer_choice`` makes one on any device.
 
         Args:
             scene: the light field.
             largest_side: photos are area-averaged to so many pixels at most.
             blending: the rule that chooses and weights the views.
             quality: how finely the surface follows the views' depth maps.
-            threads: None: one a processor.
-            views: rendered in the place of the scene's own photos where they are given: the same
-                photos in other channels.
+            threads: how many work at the same time; None: one a processor.
+            views: the scene's photos in other channels, which are rendered in their place; None:
+                they are rendered in colours.
 
         Raises:
-            OptionError: as for the class.
+            OptionError: no threads, or a quality that needs depth maps where there are none.
         """
         if views is None:
             views = views_of_scene(scene, largest_side)
@@ -176,7 +170,7 @@ class Renderer:
             self.quality,
             threads or self.threads,
             # The depth maps stay as they are; to sort millions of depths again takes seconds.
-            self._usual_inverse_depth,
+            self._typical_inverse_depth,
         )
 
     def render(self, world_from_camera: FloatArray, intrinsics: Intrinsics) -> Rendering:
@@ -223,8 +217,8 @@ class Renderer:
             drawn, _ = self._draw(poses[part], intrinsics)
             images[part], covered[part] = drawn[..., :3], drawn[..., 3] > 0.0
 
-        together = max(1, PIXELS_TOGETHER // (intrinsics.width * intrinsics.height))
-        self._run(draw, len(poses), together)
+        most = max(1, PIXELS_A_CALL // (intrinsics.width * intrinsics.height))
+        self._run(draw, len(poses), most)
         return images, covered
 
     def costs(
@@ -244,34 +238,24 @@ class Renderer:
             query: ``(H, W, 3)`` camera image, RGB, undistorted; NaN where it is not to be compared.
             cost: the kind of comparison.
             fit_gain: whether a brightness factor is fitted for each pose.
-            evidence: what differences say; of EVIDENCE alone, and needed there.
+            evidence: of the pixels' differences; needed for EVIDENCE and for no other cost.
 
         Returns:
             ``(M,)`` costs, in [0, 1] but for EVIDENCE.
 
         Raises:
-            OptionError: the image has another size than its intrinsics, or EVIDENCE without a
-                table.
+            OptionError: another size than the intrinsics', EVIDENCE without a table, or another
+                cost with one.
         """
-        check_query(query, intrinsics)
-        table = evidence_table(cost, evidence)
+        prepared = prepare_query(query, intrinsics, cost, fit_gain, evidence)
         poses = np.ascontiguousarray(world_from_camera, dtype=np.float64)
         costs = np.empty(len(poses))
-        # Gradients are differences between neighbours; else what is not compared is not rendered.
-        if cost is Cost.GRADIENT:
-            chosen, target = every_pixel(intrinsics), prepared(query)
-        else:
-            chosen, target = prepared_pixels(query)
-        if evidence is not None:
-            target[..., 3] *= ONE + evidence.rows(target[..., :3])
         surfaces = self._native.surfaces(poses, intrinsics)
 
         def compare(part: slice) -> None:
-            costs[part] = self._native.costs(
-                poses[part], surfaces[part], intrinsics, chosen, target, cost, fit_gain, table
-            )
+            costs[part] = self._native.costs(poses[part], surfaces[part], prepared)
 
-        self._run(compare, len(poses), POSES_TOGETHER)
+        self._run(compare, len(poses), POSES_A_CALL)
         return costs
 
     def _draw(
@@ -290,36 +274,24 @@ class Renderer:
         return drawn.reshape((*shape, 4)), depths.reshape(shape)
 
     def _run(self, work: Callable[[slice], None], count: int, most: int) -> None:
-        """Does work on all of so many poses: at most so many in one call, some for every thread."""
-        together = min(most, max(1, -(-count // self.threads)))
-        parts = [slice(start, start + together) for start in range(0, count, together)]
+        """Shares work among the threads.
+
+        Args:
+            work: takes the poses of a slice.
+            count: number of all poses.
+            most: poses of a slice.
+        """
+        size = min(most, max(1, -(-count // self.threads)))
+        parts = [slice(start, start + size) for start in range(0, count, size)]
         remaining = iter(parts)
 
         def drain() -> None:
-            # Threads may share a list's iterator: it hands out each part once.
+            # Threads may share a list's iterator: it yields each part once.
             for part in remaining:
                 work(part)
 
-        # This thread takes its share: to wake another one takes as long as some particles.
+        # This thread works too: to wake another one takes as long as some particles.
         helpers = [self._pool.submit(drain) for _ in range(min(self.threads, len(parts)) - 1)]
         drain()
         for helper in helpers:
             helper.result()
-
-
-def every_pixel(intrinsics: Intrinsics) -> Int32Array:
-    """Indices ``(H W,)`` of all pixels of an image."""
-    return np.arange(intrinsics.width * intrinsics.height, dtype=np.int32)
-
-
-def check_query(query: ImageArray | Float32Array, intrinsics: Intrinsics) -> None:
-    """Refuses a camera image that is not ``(H, W, 3)`` of its intrinsics.
-
-    Raises:
-        OptionError: another size.
-    """
-    if query.shape != (intrinsics.height, intrinsics.width, 3):
-        raise OptionError(
-            f"camera image of shape {query.shape} for intrinsics of "
-            f"{intrinsics.width}x{intrinsics.height} pixels"
-        )

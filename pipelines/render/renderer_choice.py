@@ -1,4 +1,4 @@
-"""A renderer on the device that was asked for: the CPU, or a graphics card."""
+"""A renderer on the device that was asked for: the CPU or a GPU."""
 
 import logging
 
@@ -29,21 +29,22 @@ def renderer_of_scene(
         largest_side: photos are area-averaged to so many pixels at most.
         blending: the rule that chooses and weights the views.
         quality: how finely the surface follows the views' depth maps.
-        threads: of what runs on the CPU; None: one a processor.
-        device: where views are rendered and compared. ``AUTO`` falls back to the CPU where the
-            card cannot hold the photos, and says so.
-        views: rendered in the place of the scene's own photos where they are given: the same photos
-            in other channels.
+        threads: of the work on the CPU; None: one a processor.
+        device: where views are rendered and compared. ``AUTO`` falls back to the CPU where the GPU
+            cannot hold the photos, and logs a warning.
+        views: the scene's photos in other channels, which are rendered in their place; None: they
+            are rendered in colours.
 
     Raises:
-        OptionError: as for ``Renderer``; a device that is not there.
-        StageError: the card cannot do it, and ``GPU`` was asked for.
+        OptionError: no threads, a quality that needs depth maps where there are none, or a device
+            that does not exist.
+        StageError: the GPU cannot do it, and ``GPU`` was asked for.
     """
     gpu = chosen_gpu(device)
     if views is None:
         views = views_of_scene(scene, largest_side)
     if gpu is not None:
-        # An extra: nothing of it is loaded before it is asked for.
+        # wgpu is an optional dependency.
         from pipelines.render.gpu_renderer import GpuRenderer
 
         try:

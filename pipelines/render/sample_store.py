@@ -1,4 +1,4 @@
-"""Samples of depth maps that are kept from one call to the next."""
+"""A cache of depth-map samples, from one call to the next."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from pipelines.artifacts.arrays import BoolArray, FloatArray
 from pipelines.lightfield.views import ViewArrays
 from pipelines.render.surface import PIXEL_PARTS, sample_steps
 
-# So many samples are kept at most, of twelve bytes each; of large light fields one for so many
+# The most samples that are kept, of twelve bytes each; in large light fields one for so many
 # depths, which take four bytes each.
 MOST_SAMPLES, DEPTHS_A_SAMPLE = 1 << 22, 8
 
@@ -17,7 +17,13 @@ Samples = TypeVar("Samples")
 
 @dataclass(frozen=True)
 class _Kept(Generic[Samples]):
-    """Samples of the views ``is_source`` ``(N,)``, at most ``count`` ones."""
+    """Samples of some views, and which these are.
+
+    Attributes:
+        is_source: ``(N,)`` which views.
+        samples: of their depth maps.
+        count: an upper bound of the number of samples.
+    """
 
     is_source: BoolArray
     samples: Samples
@@ -25,15 +31,15 @@ class _Kept(Generic[Samples]):
 
 
 class SampleStore(Generic[Samples]):
-    """Samples of a light field's depth maps, taken when they are asked for first.
+    """Samples of a light field's depth maps, taken when they are first needed.
 
-    While a camera moves on, its surface is made of the same depth maps again and again. What was
-    handed out does not change, so that threads may share a store.
+    While a camera moves on, its surface is made of the same depth maps again and again. Samples
+    that were returned do not change, so that threads may share a store.
 
     Args:
         views: the light field.
-        take: takes the samples of some views ``(N,)``, for steps ``(N,)`` from one to the next in
-            pixels of the depth maps.
+        take: takes the samples of some views. Its arguments: ``(N,)`` which views, and ``(N,)``
+            steps from one sample to the next in pixels of the depth maps.
     """
 
     def __init__(self, views: ViewArrays, take: Callable[[BoolArray, FloatArray], Samples]) -> None:
@@ -46,8 +52,8 @@ class SampleStore(Generic[Samples]):
 
         Args:
             is_source: ``(N,)`` which views.
-            focal: of the virtual camera, pixels.
-            spacing: of the surface's vertices, virtual pixels.
+            focal: focal length of the virtual camera, pixels.
+            spacing: of the depth grid, virtual pixels.
         """
         kind = (focal, spacing)
         kept = self._kept.get(kind)
@@ -63,12 +69,12 @@ class SampleStore(Generic[Samples]):
         return found
 
     def _keep(self, kind: tuple[float, float], found: _Kept[Samples]) -> None:
-        """Keeps samples, and of older ones the latest that fit in beside them."""
+        """Keeps samples, and of older ones the latest that fit into the limit with them."""
         if found.count > self._most:
             return
-        kept, room = {kind: found}, self._most - found.count
+        kept, left = {kind: found}, self._most - found.count
         for other, older in reversed(self._kept.items()):
-            if other != kind and older.count <= room:
+            if other != kind and older.count <= left:
                 kept[other] = older
-                room -= older.count
+                left -= older.count
         self._kept = dict(reversed(kept.items()))

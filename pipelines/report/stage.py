@@ -7,7 +7,7 @@ from typing import Any
 from pipelines.artifacts.atomic import atomic_folder, check_output
 from pipelines.artifacts.errors import InputError, LfnavError, OptionError
 from pipelines.artifacts.stages import Progress, no_progress
-from pipelines.lightfield.obstacle_points import standing_points
+from pipelines.lightfield.obstacle_points import obstacle_points
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_scene, scene_provenance
 from pipelines.localize.run import Run, check_run_belongs_to, load_run, locate_scene
@@ -181,7 +181,7 @@ def _content(
     if run.docking is not None:
         # A robot that moves by the map is judged by what stood in its way.
         top = float(run.base_from_camera[2, 3])
-        around = replace(around, standing=standing_points(scene, top))
+        around = replace(around, standing=obstacle_points(scene, top))
     return Content(run, tracks, around, views)
 
 

@@ -290,7 +290,7 @@ def test_a_list_without_images(folder: Path) -> None:
 
 def test_a_list_that_is_no_text(folder: Path) -> None:
     (folder / "rgb.txt").write_bytes(b"\xff\xfe\x00")
-    refused(folder, folder / "rgb.txt", "cannot be read as text")
+    refused(folder, folder / "rgb.txt", "is no text in UTF-8")
 
 
 def test_lists_are_forgiving_about_form(folder: Path) -> None:
@@ -443,7 +443,7 @@ def test_a_mount_that_is_no_table(folder: Path) -> None:
 
 def test_a_camera_file_that_is_no_text(folder: Path) -> None:
     (folder / "camera.toml").write_bytes(b"\xff\xfe")
-    refused(folder, folder / "camera.toml", "is not TOML")
+    refused(folder, folder / "camera.toml", "is no text in UTF-8")
 
 
 # --- lfnav info --------------------------------------------------------------------------------

@@ -27,8 +27,8 @@ from pipelines.lightfield.scene_file import save_scene
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import PLANAR
 from pipelines.render.channels import Channels
-from tests.drive_samples import SCENE, TRUTH
 from tests.report_samples import photo
+from tests.sequence_samples import SCENE, TRUTH
 
 ROOT = Path(__file__).parents[2]
 FRAMES = 4

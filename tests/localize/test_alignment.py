@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from pipelines.artifacts.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.pose import inverse, world_from_base_planar
-from pipelines.localize.alignment import FLAT, Refined, _inverse, refine
+from pipelines.localize.alignment import FLAT, Alignment, _inverse, align
 from pipelines.localize.observation import Observation, Observer
 from pipelines.localize.state_space import PLANAR, SPATIAL, StateSpace
 from pipelines.native import normal_equations, robust_error
@@ -50,7 +50,7 @@ def starts(space: StateSpace, count: int, seed: int) -> list[FloatArray]:
     return list(space.moved(TRUTH[space.name], offsets))
 
 
-def errors(space: StateSpace, refined: Refined) -> tuple[float, float]:
+def errors(space: StateSpace, refined: Alignment) -> tuple[float, float]:
     """Metres and radians from the truth."""
     offset = space.difference(refined.state, TRUTH[space.name])
     positions = space.positions
@@ -273,7 +273,7 @@ def test_alignment_ends_at_the_truth_to_a_fraction_of_a_pixel(
     space: StateSpace, renderer: Renderer
 ) -> None:
     for start in starts(space, 8, seed=3):
-        refined = refine(renderer, space, start, MOUNT, observations(IMAGE))
+        refined = align(renderer, space, start, MOUNT, observations(IMAGE))
         metres, radians = errors(space, refined)
         assert refined.converged
         assert metres * PIXELS_A_METRE < 0.1
@@ -286,10 +286,10 @@ def test_brightness_and_contrast_do_not_move_the_state(
     space: StateSpace, renderer: Renderer
 ) -> None:
     start = starts(space, 1, seed=4)[0]
-    plain = refine(renderer, space, start, MOUNT, observations(IMAGE))
+    plain = align(renderer, space, start, MOUNT, observations(IMAGE))
     for gain, offset in ((0.75, 12.0), (1.15, -10.0)):
         changed = np.clip(np.rint(gain * IMAGE + offset), 0.0, 255.0).astype(np.uint8)
-        refined = refine(renderer, space, start, MOUNT, observations(changed))
+        refined = align(renderer, space, start, MOUNT, observations(changed))
         apart = space.difference(refined.state, plain.state)
         assert np.linalg.norm(apart[: space.positions]) * PIXELS_A_METRE < 0.1
         assert np.linalg.norm(apart[space.positions :]) * 24.0 < 0.1
@@ -303,7 +303,7 @@ def test_a_box_before_a_quarter_of_the_image_hardly_moves_the_state(
     hidden[10:28, 16:40] = (200, 30, 30)
     assert np.any(hidden != IMAGE, axis=2).mean() == pytest.approx(0.25)
     for start in starts(space, 4, seed=5):
-        refined = refine(renderer, space, start, MOUNT, observations(hidden))
+        refined = align(renderer, space, start, MOUNT, observations(hidden))
         metres, radians = errors(space, refined)
         assert metres < 0.03
         assert radians < np.radians(0.5)
@@ -311,7 +311,7 @@ def test_a_box_before_a_quarter_of_the_image_hardly_moves_the_state(
 
 def test_a_view_of_nothing_has_no_finite_error(renderer: Renderer) -> None:
     away = facing_wall(0.0, 1.7, np.pi)
-    refined = refine(renderer, PLANAR, away, MOUNT, observations(IMAGE))
+    refined = align(renderer, PLANAR, away, MOUNT, observations(IMAGE))
     assert not np.isfinite(refined.error)
     assert not refined.converged
     np.testing.assert_array_equal(refined.state, away)
@@ -319,8 +319,8 @@ def test_a_view_of_nothing_has_no_finite_error(renderer: Renderer) -> None:
 
 
 def test_a_wrong_place_costs_more_than_the_right_one(renderer: Renderer) -> None:
-    wrong = refine(renderer, PLANAR, facing_wall(1.3, 1.7, -0.3), MOUNT, observations(IMAGE))
-    right = refine(renderer, PLANAR, FLOOR_TRUTH, MOUNT, observations(IMAGE))
+    wrong = align(renderer, PLANAR, facing_wall(1.3, 1.7, -0.3), MOUNT, observations(IMAGE))
+    right = align(renderer, PLANAR, FLOOR_TRUTH, MOUNT, observations(IMAGE))
     assert right.error < 0.01 * wrong.error
 
 
@@ -331,7 +331,7 @@ def test_the_covariance_covers_the_errors_of_noisy_images(renderer: Renderer) ->
         # Coarse blotches: neighbouring pixels err alike, as they do where a model is wrong.
         blotches = np.kron(rng.normal(0.0, 12.0, (6, 8, 3)), np.ones((6, 6, 1)))
         noisy = np.clip(IMAGE + blotches, 0.0, 255.0).astype(np.uint8)
-        refined = refine(renderer, PLANAR, start, MOUNT, observations(noisy))
+        refined = align(renderer, PLANAR, start, MOUNT, observations(noisy))
         offset = PLANAR.difference(refined.state, FLOOR_TRUTH)
         squares.append(offset @ np.linalg.solve(refined.covariance, offset))
         np.testing.assert_array_equal(refined.covariance, refined.covariance.T)
@@ -341,7 +341,7 @@ def test_the_covariance_covers_the_errors_of_noisy_images(renderer: Renderer) ->
 
 def test_the_curvature_is_that_of_the_mean_squared_difference(renderer: Renderer) -> None:
     seen = observations(IMAGE)[1]
-    refined = refine(renderer, PLANAR, FLOOR_TRUTH, MOUNT, [seen])
+    refined = align(renderer, PLANAR, FLOOR_TRUTH, MOUNT, [seen])
 
     def squared(offset: FloatArray) -> float:
         pose = PLANAR.poses(PLANAR.moved(refined.state, offset)) @ MOUNT
@@ -364,8 +364,8 @@ def test_the_start_is_not_changed_in_place_and_the_result_is_repeatable(
 ) -> None:
     start = starts(PLANAR, 1, seed=7)[0]
     before = start.copy()
-    first = refine(renderer, PLANAR, start, MOUNT, observations(IMAGE))
-    again = refine(renderer, PLANAR, start, MOUNT, observations(IMAGE))
+    first = align(renderer, PLANAR, start, MOUNT, observations(IMAGE))
+    again = align(renderer, PLANAR, start, MOUNT, observations(IMAGE))
     np.testing.assert_array_equal(start, before)
     assert first.state.tobytes() == again.state.tobytes()
     assert first.covariance.tobytes() == again.covariance.tobytes()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipelines.artifacts.arrays import FloatArray
-from pipelines.localize.alignment import Prior, refine
+from pipelines.localize.alignment import Prior, align
 from pipelines.localize.observation import Observation, Observer
 from pipelines.localize.state_space import PLANAR, SPATIAL, StateSpace
 from pipelines.render.renderer import Renderer
@@ -38,7 +38,7 @@ def test_a_strong_prior_keeps_the_state_and_is_the_posterior(
     offset = np.full(space.dimension, 0.03)
     believed = space.moved(truth_in(space), offset)
     prior = Prior(believed, information(space, 1e-6, 1e-6), 4.0)
-    found = refine(renderer, space, believed, MOUNT, IMAGES, prior=prior)
+    found = align(renderer, space, believed, MOUNT, IMAGES, prior=prior)
     assert np.abs(space.difference(found.state, believed)).max() < 1e-4
     np.testing.assert_allclose(np.diag(found.covariance), 1e-12, rtol=0.02)
 
@@ -47,9 +47,9 @@ def test_a_strong_prior_keeps_the_state_and_is_the_posterior(
 def test_a_weak_prior_changes_nothing(space: StateSpace, renderer: Renderer) -> None:
     start = space.moved(truth_in(space), np.full(space.dimension, 0.02))
     elsewhere = space.moved(truth_in(space), np.full(space.dimension, -0.3))
-    alone = refine(renderer, space, start, MOUNT, IMAGES)
+    alone = align(renderer, space, start, MOUNT, IMAGES)
     prior = Prior(elsewhere, information(space, 1e4, 1e4), 4.0)
-    found = refine(renderer, space, start, MOUNT, IMAGES, prior=prior)
+    found = align(renderer, space, start, MOUNT, IMAGES, prior=prior)
     np.testing.assert_allclose(space.difference(found.state, alone.state), 0.0, atol=1e-6)
     assert found.error == pytest.approx(alone.error, rel=1e-6)
 
@@ -68,14 +68,14 @@ def test_where_it_ends_is_where_gaussian_information_adds_up(renderer: Renderer)
     for seed in range(4):
         images = noisy(seed)[1:]
         nothing = Prior(FLOOR_TRUTH, information(PLANAR, 1e4, 1e4), 1.0)
-        alone = refine(renderer, PLANAR, FLOOR_TRUTH, MOUNT, images, 20, nothing)
+        alone = align(renderer, PLANAR, FLOOR_TRUTH, MOUNT, images, 20, nothing)
         # How far errors of tiles are alike is asked where an alignment begins: at the same place.
-        alone = refine(renderer, PLANAR, alone.state, MOUNT, images, 20, nothing)
+        alone = align(renderer, PLANAR, alone.state, MOUNT, images, 20, nothing)
         own = np.asarray(np.linalg.inv(alone.covariance), dtype=np.float64)
         # Ten times as far as the image is sharp, along its own worst direction.
         values, vectors = np.linalg.eigh(alone.covariance)
         believed = PLANAR.moved(alone.state, 10.0 * np.sqrt(values[-1]) * vectors[:, -1])
-        found = refine(renderer, PLANAR, alone.state, MOUNT, images, 20, Prior(believed, own, 1.0))
+        found = align(renderer, PLANAR, alone.state, MOUNT, images, 20, Prior(believed, own, 1.0))
         moved = PLANAR.difference(found.state, alone.state)
         expected = 0.5 * PLANAR.difference(believed, alone.state)
         # Half-way, and half the variance.
@@ -87,9 +87,9 @@ def test_where_it_ends_is_where_gaussian_information_adds_up(renderer: Renderer)
 def test_a_doubted_image_moves_a_state_less(renderer: Renderer) -> None:
     believed = PLANAR.moved(FLOOR_TRUTH, np.array([0.04, 0.0, 0.02]))
     moved, spread = [], []
-    for doubt in (1.0, 5.0, 25.0):
-        prior = Prior(believed, information(PLANAR, 0.02, 0.01), doubt)
-        found = refine(renderer, PLANAR, believed, MOUNT, noisy(1), 20, prior)
+    for inflation in (1.0, 5.0, 25.0):
+        prior = Prior(believed, information(PLANAR, 0.02, 0.01), inflation)
+        found = align(renderer, PLANAR, believed, MOUNT, noisy(1), 20, prior)
         moved.append(float(np.linalg.norm(PLANAR.difference(found.state, believed))))
         spread.append(float(np.trace(found.covariance)))
         # Never less sure than before.

@@ -167,7 +167,7 @@ def test_a_fifth_of_the_pixels_says_the_same_on_average() -> None:
     whole = renderer.costs(poses, camera, image, Cost.ROBUST, False)
     parts = []
     for number in range(5):
-        query = Observation(image, camera, number).thinned(5)
+        query = Observation(image, camera, number).subsampled(5)
         count = np.isfinite(query[..., 0]).sum()
         parts.append(count * renderer.costs(poses, camera, query, Cost.ROBUST, False))
     np.testing.assert_allclose(np.sum(parts, axis=0) / image[..., 0].size, whole, rtol=1e-5)

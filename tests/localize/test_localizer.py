@@ -16,24 +16,24 @@ from pipelines.localize.localizer import Localizer
 from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.render.renderer import Renderer
-from tests.drive_samples import (
+from tests.report_samples import CAMERA, MOUNT, facing_wall, photo
+from tests.sequence_samples import (
     BLACK,
     PERIOD,
     SCENE,
     START,
     TRUTH,
     content,
-    drive,
     heading_error,
     increments,
     informed_settings,
+    localize_sequence,
     localizer,
     paper_settings,
     periodic_scene,
     position_error,
     search_settings,
 )
-from tests.report_samples import CAMERA, MOUNT, facing_wall, photo
 
 every_strategy = pytest.mark.parametrize(
     "make", [informed_settings, search_settings, paper_settings]
@@ -45,16 +45,16 @@ every_strategy = pytest.mark.parametrize(
 
 @every_strategy
 def test_a_seed_determines_every_record_whatever_the_threads(make: Any) -> None:
-    first = [content(record) for record in drive(localizer(make(), seed=3))]
-    again = [content(record) for record in drive(localizer(make(), seed=3))]
-    threads = [content(record) for record in drive(localizer(make(threads=2), seed=3))]
+    first = [content(record) for record in localize_sequence(localizer(make(), seed=3))]
+    again = [content(record) for record in localize_sequence(localizer(make(), seed=3))]
+    threads = [content(record) for record in localize_sequence(localizer(make(threads=2), seed=3))]
     assert first == again
     assert first == threads
 
 
 @every_strategy
 def test_another_seed_gives_other_particles(make: Any) -> None:
-    first, other = (drive(localizer(make(), seed=seed), TRUTH[:2]) for seed in (3, 4))
+    first, other = (localize_sequence(localizer(make(), seed=seed), TRUTH[:2]) for seed in (3, 4))
     for record, another in zip(first, other, strict=True):
         assert not np.any(np.isin(record.particles[:, 0], another.particles[:, 0]))
 
@@ -119,7 +119,7 @@ def paper_filter(chosen: LocalizerSettings, seed: int) -> list[tuple[FloatArray,
 @pytest.mark.parametrize("seed", range(3))
 def test_condensation_does_exactly_the_steps_of_the_paper(seed: int) -> None:
     chosen = paper_settings(particles=150)
-    records = drive(localizer(chosen, seed))
+    records = localize_sequence(localizer(chosen, seed))
     expected = paper_filter(chosen, seed)
     for record, (states, log_weights) in zip(records, expected, strict=True):
         np.testing.assert_array_equal(record.particles, states)
@@ -131,14 +131,14 @@ def test_condensation_does_exactly_the_steps_of_the_paper(seed: int) -> None:
 
 
 def test_condensation_keeps_the_number_of_particles_and_the_width() -> None:
-    records = drive(localizer(paper_settings(particles=77)))
+    records = localize_sequence(localizer(paper_settings(particles=77)))
     assert [len(record.particles) for record in records] == [77] * len(TRUTH)
 
 
 def test_condensation_tracks_from_a_pose() -> None:
     chosen = paper_settings(particles=195, start=START, start_position_sigma=0.15)
     for seed in range(5):
-        last = drive(localizer(chosen, seed))[-1]
+        last = localize_sequence(localizer(chosen, seed))[-1]
         assert position_error(last, TRUTH[-1], "max_weight") < 0.15
         assert heading_error(last, TRUTH[-1], "max_weight") < math.radians(6.0)
 
@@ -148,7 +148,7 @@ def test_condensation_tracks_from_a_pose() -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_the_robot_is_found_anywhere_and_tracked(seed: int) -> None:
-    records = drive(localizer(search_settings(), seed))
+    records = localize_sequence(localizer(search_settings(), seed))
     assert records[0].status == "global"
     words = [record.status for record in records]
     found = words.index("tracking")
@@ -167,14 +167,14 @@ def test_the_robot_is_found_anywhere_and_tracked(seed: int) -> None:
 
 def test_the_covariance_covers_the_error() -> None:
     for seed in range(3):
-        last = drive(localizer(search_settings(), seed))[-1]
+        last = localize_sequence(localizer(search_settings(), seed))[-1]
         error = last.estimates["mode"] - TRUTH[-1]
         assert error @ np.linalg.solve(last.covariance, error) < 25.0
 
 
 @every_strategy
 def test_a_record_says_what_it_is_about(make: Any) -> None:
-    record = drive(localizer(make()), TRUTH[:2])[-1]
+    record = localize_sequence(localizer(make()), TRUTH[:2])[-1]
     np.testing.assert_array_equal(record.belief.states, record.particles)
     assert record.image_name == "1.png"
     assert record.timestamp == 1.0
@@ -217,7 +217,7 @@ def test_two_equal_places_stay_two_answers(chosen: LocalizerSettings) -> None:
     twin = truth + np.array([PERIOD, 0.0, 0.0])
     scene = periodic_scene()
     for seed in range(2):
-        last = drive(localizer(chosen, seed, scene), truth)[-1]
+        last = localize_sequence(localizer(chosen, seed, scene), truth)[-1]
         assert last.status == "global"
         assert len(last.modes) >= 2
         assert last.modes[:2, 3].min() > 0.15
@@ -234,7 +234,7 @@ def test_two_equal_places_stay_two_answers(chosen: LocalizerSettings) -> None:
 def test_behind_a_covered_lens_odometry_carries_the_estimates(make: Any) -> None:
     images = [photo(state) for state in TRUTH[:4]] + [BLACK] * 3 + [photo(TRUTH[7])]
     chosen = make(start=START, start_position_sigma=0.1)
-    records = drive(localizer(chosen), TRUTH, images)
+    records = localize_sequence(localizer(chosen), TRUTH, images)
     # Particles that nothing aligned explain the first image tolerably; the second confirms it.
     assert records[0].status in ("global", "tracking")
     assert [record.status for record in records[1:4]] == ["tracking"] * 3
@@ -254,7 +254,7 @@ def test_behind_a_covered_lens_odometry_carries_the_estimates(make: Any) -> None
 
 @every_strategy
 def test_black_images_from_the_start_never_claim_to_track(make: Any) -> None:
-    records = drive(localizer(make()), TRUTH, [BLACK] * len(TRUTH))
+    records = localize_sequence(localizer(make()), TRUTH, [BLACK] * len(TRUTH))
     assert {record.status for record in records} == {"blind"}
     assert max(record.confidence for record in records) == 0.0
 
@@ -269,7 +269,9 @@ def test_a_known_start_and_black_images_are_blind_and_not_tracked(make: Any) -> 
 @every_strategy
 def test_a_camera_that_hangs_is_stale_once_odometry_moves(make: Any) -> None:
     images = [photo(state) for state in TRUTH[:4]] + [photo(TRUTH[3])] * 3 + [photo(TRUTH[7])]
-    records = drive(localizer(make(start=START, start_position_sigma=0.1)), TRUTH, images)
+    records = localize_sequence(
+        localizer(make(start=START, start_position_sigma=0.1)), TRUTH, images
+    )
     assert "stale" not in {record.status for record in records[:4]}
     for record, truth in zip(records[4:7], TRUTH[4:7], strict=True):
         assert record.status == "stale"
@@ -326,7 +328,7 @@ def test_a_kidnapped_robot_is_not_followed_silently(make: Any) -> None:
     elsewhere = facing_wall(2.2, 0.9, -0.5)
     images = [photo(state) for state in TRUTH[:6]] + [photo(elsewhere)] * 2
     chosen = make(start=START, start_position_sigma=0.15, particles=195)
-    records = drive(localizer(chosen, 1), TRUTH, images)
+    records = localize_sequence(localizer(chosen, 1), TRUTH, images)
     assert records[5].status == "tracking"
     assert records[6].confidence < 0.3 * records[5].confidence
     assert records[6].status == "lost"
@@ -420,7 +422,7 @@ def test_what_was_refused_leaves_no_trace(make: Any) -> None:
     images = [photo(state) for state in TRUTH[:5]]
     for image in images:
         image[18:, :16] = (120, 110, 90)
-    expected = drive(plain, TRUTH[:5], images)
+    expected = localize_sequence(plain, TRUTH[:5], images)
     motions = increments(TRUTH)
     records = []
     for number, image in enumerate(images):
@@ -448,11 +450,11 @@ def test_the_caller_keeps_its_arrays(make: Any) -> None:
 def test_a_measurement_model_can_be_shared() -> None:
     chosen = informed_settings()
     model = MeasurementModel.of_scene(SCENE, MOUNT, chosen)
-    expected = [content(record) for record in drive(localizer(chosen), TRUTH[:3])]
+    expected = [content(record) for record in localize_sequence(localizer(chosen), TRUTH[:3])]
     # What one localizer has learnt in it changes nothing for the next.
     for _ in range(2):
         shared = Localizer(SCENE, CAMERA, MOUNT, chosen, np.random.default_rng(0), model)
-        assert [content(record) for record in drive(shared, TRUTH[:3])] == expected
+        assert [content(record) for record in localize_sequence(shared, TRUTH[:3])] == expected
 
 
 def test_a_distorted_camera_is_undistorted_before_it_is_compared() -> None:

@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray
-from pipelines.localize.alignment import Prior, Refined
+from pipelines.localize.alignment import Alignment, Prior
 from pipelines.localize.localizer import Localizer
 from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.motion import MotionModel
 from pipelines.localize.observation import Observations
-from tests.drive_samples import SCENE, TRUTH, increments, informed_settings, position_error
 from tests.report_samples import CAMERA, MOUNT, photo
+from tests.sequence_samples import SCENE, TRUTH, increments, informed_settings, position_error
 
 
 class Misled(MeasurementModel):
@@ -28,7 +28,7 @@ class Misled(MeasurementModel):
         observations: Observations,
         widths: Sequence[int],
         prior: Prior | None = None,
-    ) -> Refined:
+    ) -> Alignment:
         found = super().aligned(state, observations, widths, prior)
         return replace(found, state=self.end(state, found.state, prior))
 

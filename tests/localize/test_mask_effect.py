@@ -25,15 +25,15 @@ from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.observation import Observer
 from pipelines.localize.run import FrameRecord, load_run
 from tests.chain_samples import succeed
-from tests.drive_samples import (
+from tests.report_samples import CAMERA, MOUNT, facing_wall, photo, smooth
+from tests.sequence_samples import (
     SCENE,
     TRUTH,
-    drive,
     heading_error,
     informed_settings,
+    localize_sequence,
     position_error,
 )
-from tests.report_samples import CAMERA, MOUNT, facing_wall, photo, smooth
 
 # The lower third shows the robot's own bumper.
 BUMPER_TOP = 24
@@ -139,7 +139,7 @@ def test_the_contrast_is_that_of_the_used_pixels() -> None:
 
 def test_what_is_masked_is_not_discovered_and_what_is_not_masked_still_is() -> None:
     observer = Observer(CAMERA, WIDTHS, MASK)
-    assert not any(observer(with_bumper(photo(state))).uncovers for state in WAY)
+    assert not any(observer(with_bumper(photo(state))).is_newly_masked for state in WAY)
     # Tape on the part that is used.
     observer = Observer(CAMERA, WIDTHS, MASK)
     uncovered = []
@@ -147,7 +147,7 @@ def test_what_is_masked_is_not_discovered_and_what_is_not_masked_still_is() -> N
         image = with_bumper(photo(state))
         image[:16, :16] = (120, 110, 90)
         observations = observer(image)
-        uncovered.append(observations.uncovers)
+        uncovered.append(observations.is_newly_masked)
     assert uncovered.count(True) == 1
     gaps = np.isnan(observations.by_width[24].image[..., 0])
     assert gaps[12:].all()
@@ -216,14 +216,14 @@ BOARD = photo(facing_wall(1.2, 1.6, -0.3))[:, :16]
 
 
 def driven(mask: BoolArray | None, seed: int, likelihood: str) -> list[FrameRecord]:
-    """The records of a drive with the board in every image."""
+    """The records of a sequence with the board in every image."""
     images = [photo(state) for state in TRUTH]
     for image in images:
         image[:, :16] = BOARD
     rng = np.random.default_rng(seed)
     chosen = informed_settings(likelihood=likelihood_named(likelihood))
     robot = Localizer(SCENE, CAMERA, MOUNT, chosen, rng, mask=mask)
-    return drive(robot, images=images)
+    return localize_sequence(robot, images=images)
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -16,7 +16,6 @@ from pipelines.localize.places import COMPRESSED
 from pipelines.localize.state_space import PLANAR
 from pipelines.render.channels import Channels
 from pipelines.render.comparison import Cost
-from tests.drive_samples import informed_settings
 from tests.report_samples import (
     CAMERA,
     MOUNT,
@@ -27,6 +26,7 @@ from tests.report_samples import (
     smooth,
     wall_scene,
 )
+from tests.sequence_samples import informed_settings
 
 # Between two recordings, nearer than they are, and turned: no view shows exactly this.
 TRUTH = facing_wall(-0.4, 1.7, 0.15)

@@ -8,32 +8,32 @@ import pytest
 from pipelines.artifacts.arrays import FloatArray
 from pipelines.localize.localizer import Localizer
 from pipelines.localize.run import FrameRecord
-from tests.drive_samples import (
+from tests.report_samples import facing_wall, photo, smooth, wall_scene
+from tests.sequence_samples import (
     BLACK,
     START,
     TRUTH,
     content,
-    drive,
     heading_error,
     increments,
     informed_settings,
+    localize_sequence,
     localizer,
     position_error,
 )
-from tests.report_samples import facing_wall, photo, smooth, wall_scene
 
 
 @pytest.fixture(scope="module")
-def drives() -> list[list[FrameRecord]]:
-    """A drive from nowhere, for each of a few seeds."""
-    return [drive(localizer(informed_settings(), seed)) for seed in range(5)]
+def sequences() -> list[list[FrameRecord]]:
+    """A sequence without a start pose, for each of a few seeds."""
+    return [localize_sequence(localizer(informed_settings(), seed)) for seed in range(5)]
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_the_robot_is_found_anywhere_and_tracked(
-    seed: int, drives: list[list[FrameRecord]]
+    seed: int, sequences: list[list[FrameRecord]]
 ) -> None:
-    records = drives[seed]
+    records = sequences[seed]
     words = [record.status for record in records]
     found = words.index("tracking")
     assert words == ["global"] * found + ["tracking"] * (len(words) - found)
@@ -49,9 +49,9 @@ def test_the_robot_is_found_anywhere_and_tracked(
     assert counts[-1] <= 2 * 60
 
 
-def test_the_refined_estimate_is_the_finest(drives: list[list[FrameRecord]]) -> None:
+def test_the_refined_estimate_is_the_finest(sequences: list[list[FrameRecord]]) -> None:
     modes, refined = [], []
-    for records in drives:
+    for records in sequences:
         for record, truth in zip(records[2:], TRUTH[2:], strict=True):
             modes.append(position_error(record, truth, "mode"))
             refined.append(position_error(record, truth, "refined"))
@@ -63,14 +63,14 @@ def test_the_refined_estimate_is_the_finest(drives: list[list[FrameRecord]]) -> 
 
 def test_without_a_refine_width_there_is_no_refined_estimate() -> None:
     chosen = informed_settings(refine_width=0, estimate="mode")
-    last = drive(localizer(chosen), TRUTH[:3])[-1]
+    last = localize_sequence(localizer(chosen), TRUTH[:3])[-1]
     assert set(last.estimates) == {"max_weight", "mean", "mode"}
     assert last.refined_covariance is None
 
 
-def test_the_refined_covariance_covers_the_error(drives: list[list[FrameRecord]]) -> None:
+def test_the_refined_covariance_covers_the_error(sequences: list[list[FrameRecord]]) -> None:
     squares = []
-    for records in drives:
+    for records in sequences:
         for record, truth in zip(records[2:], TRUTH[2:], strict=True):
             error = record.estimates["refined"] - truth
             assert record.refined_covariance is not None
@@ -81,7 +81,9 @@ def test_the_refined_covariance_covers_the_error(drives: list[list[FrameRecord]]
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_start_pose_that_is_given_is_followed_with_the_fewest_particles(seed: int) -> None:
-    records = drive(localizer(informed_settings(start=START, start_position_sigma=0.2), seed))
+    records = localize_sequence(
+        localizer(informed_settings(start=START, start_position_sigma=0.2), seed)
+    )
     assert {record.status for record in records} == {"tracking"}
     # It looks round at first, as far as the start pose is uncertain.
     assert max(len(record.particles) for record in records[1:]) <= 2 * 60
@@ -95,7 +97,7 @@ def test_a_robot_is_found_and_followed_before_a_wall_without_edges() -> None:
     scene = wall_scene(smooth)
     images = [photo(state, paint=smooth) for state in TRUTH]
     for seed in range(3):
-        records = drive(localizer(informed_settings(), seed, scene), images=images)
+        records = localize_sequence(localizer(informed_settings(), seed, scene), images=images)
         for record, truth in zip(records[2:], TRUTH[2:], strict=True):
             assert record.status == "tracking"
             assert position_error(record, truth, "refined") < 0.05
@@ -143,7 +145,7 @@ def test_a_robot_that_is_carried_away_behind_a_covered_lens_is_found_again() -> 
 
 
 def test_steady_images_do_not_make_it_look_everywhere() -> None:
-    records = drive(localizer(informed_settings(start=START), 0))
+    records = localize_sequence(localizer(informed_settings(start=START), 0))
     assert max(len(record.particles) for record in records[1:]) <= 2 * 60
 
 

@@ -9,7 +9,7 @@ from pipelines.artifacts.arrays import BoolArray, ImageArray
 from pipelines.artifacts.errors import OptionError
 from pipelines.localize.observation import (
     FEWEST_COMPARED,
-    LATTICES,
+    SUBSAMPLING_SHIFTS,
     Observation,
     Observer,
     is_same,
@@ -51,21 +51,21 @@ def kept(number: int, one_in: int, height: int, width: int) -> BoolArray:
     """Which pixels of an image remain."""
     image = np.ones((height, width, 3), dtype=np.float32)
     observation = Observation(image, CAMERA.intrinsics, number)
-    return np.asarray(~np.isnan(observation.thinned(one_in)).any(axis=2))
+    return np.asarray(~np.isnan(observation.subsampled(one_in)).any(axis=2))
 
 
-@pytest.mark.parametrize("one_in", LATTICES)
+@pytest.mark.parametrize("one_in", SUBSAMPLING_SHIFTS)
 def test_pixels_take_turns_and_are_spread_over_rows_and_columns(one_in: int) -> None:
-    lattices = np.array([kept(number, one_in, 30, 40) for number in range(7, 7 + one_in)])
-    np.testing.assert_array_equal(lattices.sum(axis=0), 1)
-    for lattice in lattices:
+    masks = np.array([kept(number, one_in, 30, 40) for number in range(7, 7 + one_in)])
+    np.testing.assert_array_equal(masks.sum(axis=0), 1)
+    for mask in masks:
         for axis, size in ((0, 30), (1, 40)):
-            counts = lattice.sum(axis=axis)
+            counts = mask.sum(axis=axis)
             assert counts.max() - counts.min() <= 1
             assert abs(counts.mean() - size / one_in) < 1e-9
         # No two that remain are neighbours.
-        assert one_in == 1 or not (lattice[:, 1:] & lattice[:, :-1]).any()
-        assert one_in == 1 or not (lattice[1:] & lattice[:-1]).any()
+        assert one_in == 1 or not (mask[:, 1:] & mask[:, :-1]).any()
+        assert one_in == 1 or not (mask[1:] & mask[:-1]).any()
 
 
 @pytest.mark.parametrize(("width", "step"), [(20, 1), (28, 2), (36, 3), (40, 5)])
@@ -82,12 +82,12 @@ def test_images_are_counted_and_what_is_fixed_stays_left_out() -> None:
     assert numbers == list(range(len(WAY)))
     image = np.ones((34, 40, 3), dtype=np.float32)
     image[:4] = np.nan
-    remaining = ~np.isnan(Observation(image, CAMERA.intrinsics).thinned(5)[..., 0])
+    remaining = ~np.isnan(Observation(image, CAMERA.intrinsics).subsampled(5)[..., 0])
     assert not remaining[:4].any()
     np.testing.assert_array_equal(remaining[4:], kept(0, 5, 34, 40)[4:])
     # A row less, and a fifth of what is left would be too few.
     image[4] = np.nan
-    remaining = ~np.isnan(Observation(image, CAMERA.intrinsics).thinned(5)[..., 0])
+    remaining = ~np.isnan(Observation(image, CAMERA.intrinsics).subsampled(5)[..., 0])
     assert remaining.sum() >= FEWEST_COMPARED
     np.testing.assert_array_equal(remaining[5:], kept(0, 3, 34, 40)[5:])
 
@@ -115,17 +115,17 @@ def test_tape_on_the_lens_is_left_out_after_a_few_images() -> None:
     assert not hidden[:8].any()
     assert not hidden[:, 10:].any()
     # Said once, when it is found out.
-    assert [observations.uncovers for observations in seen].count(True) == 1
+    assert [observations.is_newly_masked for observations in seen].count(True) == 1
     found = [bool(np.isnan(observations.by_width[12].image).any()) for observations in seen]
     assert found == sorted(found)
-    assert found.index(True) == [observations.uncovers for observations in seen].index(True)
+    assert found.index(True) == [observations.is_newly_masked for observations in seen].index(True)
 
 
 def test_without_tape_nothing_is_left_out() -> None:
     observer = Observer(CAMERA, [12, 24])
     for state in WAY:
         observations = observer(photo(state))
-        assert not observations.uncovers
+        assert not observations.is_newly_masked
         assert not np.isnan(observations.by_width[24].image).any()
 
 

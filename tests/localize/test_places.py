@@ -16,12 +16,12 @@ from pipelines.localize.places import (
     JOINED_POSITION,
     PLACE_ANGLE,
     PLACE_POSITION,
-    Weighed,
+    PlaceWeighting,
     compressed,
-    labelled,
     log_priors,
+    place_labels,
     places_of,
-    weighed,
+    weighted_by_place,
 )
 from pipelines.localize.state_space import PLANAR, SPATIAL, StateSpace
 
@@ -42,13 +42,13 @@ def prior_shares(prior: FloatArray, labels: IntArray) -> FloatArray:
     return result
 
 
-def weigh(prior: FloatArray, evidence: FloatArray, labels: IntArray) -> Weighed:
+def weigh(prior: FloatArray, evidence: FloatArray, labels: IntArray) -> PlaceWeighting:
     """With places whose prior is what the particles hold of them."""
-    return weighed(prior, evidence, labels, prior_shares(prior, labels))
+    return weighted_by_place(prior, evidence, labels, prior_shares(prior, labels))
 
 
 def labels_of(space: StateSpace, states: FloatArray, hypotheses: FloatArray) -> IntArray:
-    return labelled(space, states, hypotheses, places_of(space, hypotheses))
+    return place_labels(space, states, hypotheses, places_of(space, hypotheses))
 
 
 # --- compression -------------------------------------------------------------------------------

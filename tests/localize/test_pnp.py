@@ -23,7 +23,7 @@ from pipelines.localize.run import load_run
 from pipelines.localize.state_space import PLANAR, SPATIAL, StateSpace
 from tests.chain_samples import first_frames, lfnav, succeed
 from tests.lightfield_samples import looking
-from tests.pnp_samples import DRIVE, FRAMES, WORKSHOP, workshop_finder, workshop_scene
+from tests.pnp_samples import FRAMES, SEQUENCE, WORKSHOP, workshop_finder, workshop_scene
 from tests.reconstruct_samples import texture
 
 ROOT = Path(__file__).parents[2]
@@ -36,9 +36,9 @@ def finder() -> PnpLocalizer:
 
 
 def true_state(frame: int, space: StateSpace) -> FloatArray:
-    assert DRIVE.groundtruth is not None
-    nearest = DRIVE.groundtruth.nearest(DRIVE.timestamps[[frame]], PAIRING_TOLERANCE)
-    return space.states(DRIVE.groundtruth.poses[nearest[0]])
+    assert SEQUENCE.groundtruth is not None
+    nearest = SEQUENCE.groundtruth.nearest(SEQUENCE.timestamps[[frame]], PAIRING_TOLERANCE)
+    return space.states(SEQUENCE.groundtruth.poses[nearest[0]])
 
 
 def errors(answer: PnpAnswer, frame: int, space: StateSpace) -> tuple[float, float]:
@@ -51,7 +51,7 @@ def errors(answer: PnpAnswer, frame: int, space: StateSpace) -> tuple[float, flo
 
 def test_the_robot_is_found_in_frames_of_the_drive(finder: PnpLocalizer) -> None:
     for frame in FRAMES:
-        answer = finder.locate(DRIVE.read_image(frame))
+        answer = finder.locate(SEQUENCE.read_image(frame))
         metres, degrees = errors(answer, frame, PLANAR)
         assert metres < 0.05
         assert degrees < 1.0
@@ -76,7 +76,7 @@ def test_an_image_of_nothing_has_no_pose(finder: PnpLocalizer, kind: str) -> Non
 
 
 def test_the_same_image_has_the_same_pose_with_any_number_of_threads(finder: PnpLocalizer) -> None:
-    image = DRIVE.read_image(FRAMES[0])
+    image = SEQUENCE.read_image(FRAMES[0])
     first = finder.locate(image)
     second = workshop_finder(SCENE, threads=1).locate(image)
     assert first.state is not None
@@ -86,7 +86,7 @@ def test_the_same_image_has_the_same_pose_with_any_number_of_threads(finder: Pnp
 
 
 def test_six_degrees_of_freedom_take_what_a_robot_on_the_floor_cannot_be() -> None:
-    image = DRIVE.read_image(FRAMES[0])
+    image = SEQUENCE.read_image(FRAMES[0])
     answer = workshop_finder(SCENE, SPATIAL, height=0.5).locate(image)
     assert answer.state is not None
     truth = true_state(FRAMES[0], SPATIAL)
@@ -112,10 +112,10 @@ if sys.argv[1] == "pycolmap first":
 from pipelines.localize.localizer import Localizer
 import pycolmap
 from pipelines.localize.settings import LocalizerSettings
-from tests.pnp_samples import DRIVE, FRAMES, workshop_finder, workshop_scene
-scene, image = workshop_scene(), DRIVE.read_image(FRAMES[0])
+from tests.pnp_samples import SEQUENCE, FRAMES, workshop_finder, workshop_scene
+scene, image = workshop_scene(), SEQUENCE.read_image(FRAMES[0])
 localizer = Localizer(
-    scene, DRIVE.camera, DRIVE.base_from_camera, LocalizerSettings(), np.random.default_rng(0)
+    scene, SEQUENCE.camera, SEQUENCE.base_from_camera, LocalizerSettings(), np.random.default_rng(0)
 )
 localizer.step(image, None)
 grey = np.ascontiguousarray(image.mean(axis=2), dtype=np.float32) / 255.0
@@ -177,11 +177,11 @@ def test_masked_features_are_left_out_and_do_not_count(max_size: int) -> None:
 
 def test_a_mask_holds_for_camera_images_and_not_for_the_map() -> None:
     frame = FRAMES[0]
-    image = DRIVE.read_image(frame).copy()
+    image = SEQUENCE.read_image(frame).copy()
     mask = np.ones(image.shape[:2], dtype=np.bool_)
     mask[:, :213] = False
     # The board on the robot shows a piece of another photo of the map.
-    image[:, :213] = DRIVE.read_image(FRAMES[1])[:, :213]
+    image[:, :213] = SEQUENCE.read_image(FRAMES[1])[:, :213]
     finder = workshop_finder(SCENE, mask=mask)
     answer = finder.locate(image)
     assert answer.inliers >= MIN_INLIERS
@@ -236,13 +236,13 @@ def test_the_covariance_is_that_of_poses_from_noisy_pixels() -> None:
 
 @pytest.fixture(scope="module")
 def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the scene, and three frames of the drive of which the last shows nothing."""
+    """A folder with the scene, and three frames of the sequence of which the last shows nothing."""
     folder = tmp_path_factory.mktemp("workshop")
     save_scene(folder / "scene.h5", SCENE, overwrite=False)
-    drive = first_frames(WORKSHOP / "test", folder / "drive", 3)
+    sequence = first_frames(WORKSHOP / "test", folder / "drive", 3)
     black = encode_png(np.zeros((480, 640, 3), dtype=np.uint8))
-    name = (drive / "rgb.txt").read_text(encoding="utf-8").splitlines()[2].split()[1]
-    (drive / name).write_bytes(black)
+    name = (sequence / "rgb.txt").read_text(encoding="utf-8").splitlines()[2].split()[1]
+    (sequence / name).write_bytes(black)
     return folder
 
 
@@ -287,8 +287,16 @@ def test_a_run_of_poses_by_features_uses_the_mask(workshop: Path, tmp_path: Path
 
 
 def test_points_of_a_reconstruction_are_for_pnp_alone(workshop: Path, tmp_path: Path) -> None:
-    scene, drive = workshop / "scene.h5", workshop / "drive"
-    arguments = ("localize", scene, drive, "-o", tmp_path / "run.h5", "--reconstruction", tmp_path)
+    scene, sequence = workshop / "scene.h5", workshop / "drive"
+    arguments = (
+        "localize",
+        scene,
+        sequence,
+        "-o",
+        tmp_path / "run.h5",
+        "--reconstruction",
+        tmp_path,
+    )
     outcome = lfnav(*arguments)
     assert outcome.code != 0
     assert "a reconstruction is of use to PnP alone" in outcome.err

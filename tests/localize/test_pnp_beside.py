@@ -19,15 +19,15 @@ from pipelines.localize.state_space import PLANAR
 from pipelines.report.stage import ReportSettings, report
 from pipelines.report.time_plots import time_figure
 from pipelines.report.tracks import tracks_of
-from tests.drive_samples import (
+from tests.report_samples import TRUTH as RUN_TRUTH
+from tests.report_samples import photo, wall_run, written
+from tests.sequence_samples import (
     SCENE,
     TRUTH,
     content,
     informed_settings,
     localizer,
 )
-from tests.report_samples import TRUTH as RUN_TRUTH
-from tests.report_samples import photo, wall_run, written
 
 ASIDE = np.array([0.0, 0.02, 0.0])
 

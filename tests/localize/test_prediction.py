@@ -107,7 +107,7 @@ def test_a_spatial_prior_integrates_to_one_and_is_centred() -> None:
 def test_many_pairs_are_worked_on_in_blocks_with_the_same_result(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(prediction_module, "PAIRS_TOGETHER", 250)
+    monkeypatch.setattr(prediction_module, "PAIRS_IN_A_CHUNK", 250)
     rng = np.random.default_rng(7)
     centres = PLANAR.uniform(FLOOR.low, FLOOR.high, 100, rng)
     log_weights, _ = normalise_log_weights(np.zeros(len(centres)))

@@ -14,9 +14,9 @@ from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.observation import Observer
 from pipelines.localize.run import FrameRecord
 from pipelines.localize.state_space import SPATIAL
-from tests.drive_samples import BLACK, SCENE, TRUTH, content, informed_settings, scene_of
 from tests.lightfield_samples import looking
 from tests.report_samples import CAMERA, MOUNT, photo_from
+from tests.sequence_samples import BLACK, SCENE, TRUTH, content, informed_settings, scene_of
 
 
 def held_in_a_hand() -> FloatArray:
@@ -176,7 +176,7 @@ def street(spacing: float = 2.0) -> Scene:
 
 
 def alone(seed: int, spacing: float, steps: Sequence[float]) -> tuple[int, int]:
-    """How many images of a drive by these steps, in metres, are followed, and how many wrongly."""
+    """How many images of a sequence with these steps (m) are tracked, and how many wrongly."""
     truth = [on_the_street(x, np.sin(x / 4.0)) for x in 3.3 + np.cumsum(steps)]
     chosen = informed_settings(degrees_of_freedom=6, particles=100)
     car = Localizer(street(spacing), CAMERA, np.eye(4), chosen, np.random.default_rng(seed))

@@ -13,7 +13,7 @@ from pipelines.localize.state_space import (
     PLANAR,
     SPATIAL,
     StateSpace,
-    cells_of,
+    grid_cells,
     state_space_named,
     state_space_of_dimension,
 )
@@ -250,10 +250,10 @@ def test_other_spaces_do_not_exist() -> None:
 
 def test_cells_count_places_and_directions() -> None:
     states = np.array([[0.1, 0.1, 0.1], [0.2, 0.2, 0.1 - 2.0 * np.pi], [0.3, 0.1, 0.1]])
-    cells = cells_of(PLANAR, states, 0.25, 0.5)
+    cells = grid_cells(PLANAR, states, 0.25, 0.5)
     np.testing.assert_array_equal(cells, [[0, 0, 0], [0, 0, 0], [1, 0, 0]])
     vectors = np.array([[0.1] * 3 + [0.0, 0.0, 0.1], [0.1] * 3 + [0.0, 0.0, 0.1 + 2.0 * np.pi]])
-    first, second = cells_of(SPATIAL, vectors, 0.25, 0.5)
+    first, second = grid_cells(SPATIAL, vectors, 0.25, 0.5)
     np.testing.assert_array_equal(first, second)
 
 

@@ -12,17 +12,23 @@ from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import StageError
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.pose import wrap_angle
-from pipelines.localize.alignment import Refined
+from pipelines.localize.alignment import Alignment
 from pipelines.localize.belief import Belief, region_of_area
 from pipelines.localize.estimate import mean_state, state_covariance
 from pipelines.localize.likelihood import Likelihood
 from pipelines.localize.measurement_model import MeasurementModel
-from pipelines.localize.mixture_mcl import Informed
+from pipelines.localize.mixture_mcl import MixtureProposalMcl
 from pipelines.localize.motion import MotionModel
 from pipelines.localize.observation import Observation, Observations
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import PLANAR
-from pipelines.localize.strategies import CoarseToFine, Condensation, Strategy, start_belief
+from pipelines.localize.strategies import (
+    CoarseToFine,
+    Condensation,
+    Posterior,
+    Strategy,
+    start_belief,
+)
 from pipelines.render.channels import Channels
 from pipelines.render.comparison import Cost
 from pipelines.render.renderer import Renderer
@@ -70,10 +76,10 @@ class Told(MeasurementModel):
 
     def aligned(
         self, state: FloatArray, observations: Any, widths: Any, prior: Any = None
-    ) -> Refined:
+    ) -> Alignment:
         # Half the second derivative of the cost in squared grey levels, as alignment states it.
         curvature = np.diag(MEASURED**-2.0) * 255.0**2 / (2.0 * SHARPNESS)
-        return Refined(self.peak, np.diag(MEASURED**2), curvature, 1.0, True)
+        return Alignment(self.peak, np.diag(MEASURED**2), curvature, 1.0, True)
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +118,14 @@ def coarse_to_fine(told: Told, seed: int, **changes: Any) -> Strategy:
 
 def informed(told: Told, seed: int, **changes: Any) -> Strategy:
     views = wall_scene().world_from_camera
-    return Informed(told, REGION, views, settings(**changes), np.random.default_rng(seed))
+    return MixtureProposalMcl(told, REGION, views, settings(**changes), np.random.default_rng(seed))
+
+
+def step(strategy: Strategy, observations: Observations, increment: FloatArray | None) -> Posterior:
+    """One frame."""
+    strategy.resample()
+    strategy.predict(increment)
+    return strategy.weight(observations)
 
 
 every_strategy = pytest.mark.parametrize("make", [condensation, coarse_to_fine, informed])
@@ -160,7 +173,7 @@ def test_the_filter_agrees_with_the_kalman_filter(make: Any, renderer: Renderer)
         strategy = make(told, seed)
         for number, measurement in enumerate(seen):
             told.peak, told.rule = measurement.state, measurement.log_likelihoods
-            belief = strategy.update(SEEN, INCREMENT if number else None).belief
+            belief = step(strategy, SEEN, INCREMENT if number else None).belief
             means[seed, number], variances[seed, number] = moments(belief)
     for number, (mean, variance) in enumerate(expected):
         sigma = np.sqrt(variance)
@@ -181,7 +194,7 @@ def test_looking_at_the_image_makes_better_use_of_few_particles(renderer: Render
             strategy = make(told, seed, particles=40, start_particles=40)
             for number, measurement in enumerate(seen):
                 told.peak, told.rule = measurement.state, measurement.log_likelihoods
-                belief = strategy.update(SEEN, INCREMENT if number else None).belief
+                belief = step(strategy, SEEN, INCREMENT if number else None).belief
                 squares.append((mean_state(belief) - expected[number]) ** 2)
         errors[make] = np.sqrt(np.mean(squares, axis=0))
     assert np.median(errors[informed] / errors[condensation]) < 0.8
@@ -205,7 +218,7 @@ def first_belief(make: Any, renderer: Renderer, seed: int = 0) -> tuple[Told, St
     measurement = measurements(1)[0]
     told = Told(renderer, measurement.state, measurement.log_likelihoods)
     strategy = make(told, seed)
-    strategy.update(SEEN, None)
+    step(strategy, SEEN, None)
     return told, strategy
 
 
@@ -225,7 +238,7 @@ def test_an_image_that_says_nothing_leaves_the_prior(
         told, strategy = first_belief(make, renderer, seed)
         # Proposals elsewhere must not pull the belief there.
         told.rule, told.peak = impossible, told.peak + np.array([0.3, 0.0, 0.0])
-        belief = strategy.update(SEEN if what == "impossible" else UNSEEN, INCREMENT).belief
+        belief = step(strategy, SEEN if what == "impossible" else UNSEEN, INCREMENT).belief
         mean, variance = moments(belief)
         means.append(mean)
         variances.append(variance)
@@ -240,7 +253,7 @@ def test_a_broken_comparison_is_an_error_and_no_weight(make: Any, renderer: Rend
     told, strategy = first_belief(make, renderer)
     told.rule = broken
     with pytest.raises(StageError, match="NaN"):
-        strategy.update(SEEN, INCREMENT)
+        step(strategy, SEEN, INCREMENT)
 
 
 @every_strategy
@@ -251,12 +264,12 @@ def test_one_particle_may_take_all(make: Any, renderer: Renderer) -> None:
         return np.where(states[:, 0] == states[:, 0].max(), 0.0, -np.inf)
 
     told.rule = only_the_foremost
-    belief = strategy.update(SEEN, INCREMENT).belief
+    belief = step(strategy, SEEN, INCREMENT).belief
     assert belief.weights.max() == 1.0
     chosen = belief.states[int(np.argmax(belief.log_weights))]
     # The next belief grew from it alone.
     told.rule, told.peak = lambda states: np.zeros(len(states)), chosen
-    after = strategy.update(SEEN, INCREMENT).belief
+    after = step(strategy, SEEN, INCREMENT).belief
     mean, variance = moments(after)
     expected = PLANAR.composed(chosen, INCREMENT)
     np.testing.assert_allclose(mean[:2], expected[:2], atol=0.015)
@@ -269,7 +282,7 @@ def test_the_headings_jump_makes_no_difference(make: Any, renderer: Renderer) ->
     measurement = Measurement(place)
     told = Told(renderer, place, measurement.log_likelihoods)
     strategy = make(told, 3, start=(0.3, -0.2, -np.pi + 0.001), start_heading_sigma=0.02)
-    belief = strategy.update(SEEN, None).belief
+    belief = step(strategy, SEEN, None).belief
     assert np.all((belief.states[:, 2] > -np.pi) & (belief.states[:, 2] <= np.pi))
     assert abs(float(wrap_angle(mean_state(belief)[2] - place[2]))) < 0.002
 

@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import chi2
 
 from pipelines.artifacts.arrays import FloatArray
-from pipelines.localize.alignment import Refined
+from pipelines.localize.alignment import Alignment
 from pipelines.localize.state_space import PLANAR, SPATIAL, StateSpace
 from pipelines.localize.track import GATE, Track
 
@@ -28,9 +28,9 @@ def state_of(space: StateSpace, seed: int) -> FloatArray:
     return np.asarray(space.moved(np.zeros(space.dimension), offset))
 
 
-def aligned_at(state: FloatArray, covariance: FloatArray, **changes: Any) -> Refined:
+def aligned_at(state: FloatArray, covariance: FloatArray, **changes: Any) -> Alignment:
     chosen = {"error": 1.0, "converged": True, **changes}
-    return Refined(state, covariance, np.eye(len(state)), **chosen)
+    return Alignment(state, covariance, np.eye(len(state)), **chosen)
 
 
 @both
@@ -62,10 +62,10 @@ def test_an_update_is_the_textbooks_where_all_is_linear(space: StateSpace) -> No
     before = np.zeros(space.dimension)
     offset = np.random.default_rng(6).multivariate_normal(before, own + image)
     track = Track(before, own, 3)
-    doubt = 2.5
-    found = track.updated(space, aligned_at(space.moved(before, offset), image), doubt)
-    information = np.linalg.inv(own) + np.linalg.inv(doubt * image)
-    expected = np.linalg.solve(information, np.linalg.solve(doubt * image, offset))
+    inflation = 2.5
+    found = track.updated(space, aligned_at(space.moved(before, offset), image), inflation)
+    information = np.linalg.inv(own) + np.linalg.inv(inflation * image)
+    expected = np.linalg.solve(information, np.linalg.solve(inflation * image, offset))
     np.testing.assert_allclose(space.difference(found.state, before), expected, atol=1e-7)
     np.testing.assert_allclose(found.covariance, np.linalg.inv(information), rtol=1e-6, atol=1e-16)
     assert found.rejected == 0
@@ -77,17 +77,17 @@ def test_an_update_is_the_textbooks_where_all_is_linear(space: StateSpace) -> No
 def test_the_gate_lets_through_as_many_right_alignments_as_it_says(space: StateSpace) -> None:
     rng = np.random.default_rng(1)
     own, image = (covariance_of(space, seed, 0.01, 0.005) for seed in (1, 2))
-    truth, doubt, count = state_of(space, 3), 4.0, 20_000
-    errors = rng.multivariate_normal(np.zeros(space.dimension), own + doubt * image, count)
+    truth, inflation, count = state_of(space, 3), 4.0, 20_000
+    errors = rng.multivariate_normal(np.zeros(space.dimension), own + inflation * image, count)
     track = Track(truth, own)
     left_out = sum(
-        not track.accepts(space, aligned_at(space.moved(truth, error), image), doubt)
+        not track.accepts(space, aligned_at(space.moved(truth, error), image), inflation)
         for error in errors
     )
     expected = (1.0 - GATE) * count
     assert abs(left_out - expected) < 5.0 * math.sqrt(expected)
     # Along one axis it is where the quantile is.
-    edge = math.sqrt(chi2.ppf(GATE, space.dimension) * (own + doubt * image)[0, 0])
+    edge = math.sqrt(chi2.ppf(GATE, space.dimension) * (own + inflation * image)[0, 0])
     own_axis = np.zeros_like(own)
     np.fill_diagonal(own_axis, np.diag(own))
     image_axis = np.diag(np.diag(image))
@@ -95,7 +95,7 @@ def test_the_gate_lets_through_as_many_right_alignments_as_it_says(space: StateS
         offset = np.zeros(space.dimension)
         offset[0] = factor * edge
         there = aligned_at(space.moved(truth, offset), image_axis)
-        assert Track(truth, own_axis).accepts(space, there, doubt) is is_accepted
+        assert Track(truth, own_axis).accepts(space, there, inflation) is is_accepted
 
 
 def test_headings_go_round() -> None:
@@ -130,4 +130,4 @@ def test_a_prior_says_what_the_track_does() -> None:
     prior = Track(np.array([1.0, 2.0, 0.5]), covariance).prior(3.0)
     np.testing.assert_array_equal(prior.state, [1.0, 2.0, 0.5])
     np.testing.assert_allclose(prior.information @ covariance, np.eye(3), atol=1e-9)
-    assert prior.doubt == 3.0
+    assert prior.inflation == 3.0

@@ -222,11 +222,11 @@ def mesh_weights(
 
 
 def reference_weights(centres: FloatArray, pose: FloatArray, camera: Intrinsics) -> FloatArray:
-    net = pixel_weights(centres, pose, camera)
+    mesh = pixel_weights(centres, pose, camera)
     weights = np.zeros((len(centres), camera.height, camera.width))
     rows, columns = np.indices((camera.height, camera.width))
     for corner in range(3):
-        np.add.at(weights, (net.views[..., corner], rows, columns), net.weights[..., corner])
+        np.add.at(weights, (mesh.views[..., corner], rows, columns), mesh.weights[..., corner])
     return weights
 
 

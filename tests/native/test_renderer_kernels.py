@@ -14,7 +14,7 @@ from pipelines.lightfield.views import with_depth as with_depths
 from pipelines.render.blending import (
     MOST_RANKED,
     Blending,
-    outlook_positions,
+    candidate_positions,
     tile_borders,
 )
 from pipelines.render.candidate_views import build_index
@@ -244,8 +244,8 @@ def scene_arguments() -> dict[str, Any]:
     more = ("origin", "order", "numbers", "members", "blocks", "groups")
     return {
         **{name: getattr(views, name) for name in (*names, *depths)},
-        "pooled_depth": views.blocks,
-        "pooled_start": views.block_start,
+        "pooled_depth": views.pooled_depth,
+        "pooled_start": views.pooled_start,
         "usable": usable,
         **{name: getattr(index, name) for name in more},
         "plane": renderer.plane.coefficients(),
@@ -317,8 +317,8 @@ def views_arguments() -> dict[str, Any]:
         "intrinsics": camera.vector(),
         "across": tile_borders(camera.width),
         "down": tile_borders(camera.height),
-        "probes_across": outlook_positions(camera.width),
-        "probes_down": outlook_positions(camera.height),
+        "probes_across": candidate_positions(camera.width),
+        "probes_down": candidate_positions(camera.height),
         "frustum_across": frustum_positions(camera.width),
         "frustum_down": frustum_positions(camera.height),
         "pixels": np.arange(7, dtype=np.int32),

@@ -9,8 +9,8 @@ from pipelines.geometry.plane import plane_inverse_depth
 from pipelines.lightfield.view_penalties import BORDER_PENALTY, BORDER_SHARE, RESOLUTION_PENALTY
 from pipelines.lightfield.views import Views, build_views
 from pipelines.render.blending import unstructured_weights
-from pipelines.render.reference import view_mappings
 from pipelines.render.renderer import Renderer
+from pipelines.render.view_mapping import ViewMapping
 from tests.lightfield_samples import WALL, looking, pinhole
 
 CAMERA = pinhole(41, 31, 40.0)
@@ -43,8 +43,8 @@ def weights_at_pixel(views: Views, camera: Intrinsics = CAMERA) -> FloatArray:
     """``(N,)`` at the middle pixel, which is a corner of the tiles."""
     usable = np.ones(len(views), dtype=bool)
     surface = plane_inverse_depth(WALL, VIRTUAL, camera)
-    maps, shifts = view_mappings(views, VIRTUAL, camera)
-    result = unstructured_weights(views, usable, maps, shifts, surface, VIRTUAL, camera)
+    mapping = ViewMapping.of(views, VIRTUAL, camera)
+    result = unstructured_weights(views, usable, mapping, surface)
     weights = np.zeros(len(views))
     np.add.at(weights, result.views[ROW, COLUMN], result.weights[ROW, COLUMN])
     return weights

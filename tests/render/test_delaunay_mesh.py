@@ -1,4 +1,4 @@
-"""The net of recording centres against geometry worked out by hand."""
+"""The mesh of recording centres against geometry worked out by hand."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from pipelines.artifacts.arrays import FloatArray
 from pipelines.geometry.camera import Intrinsics
 from pipelines.render.delaunay_mesh import (
     PixelWeights,
-    distinct_corners,
+    distinct_vertices,
     is_one_dimensional,
     pixel_weights,
     project_centres,
@@ -26,14 +26,14 @@ def centre_at(x: float, y: float, depth: float = 2.0) -> list[float]:
     return [(x - 30.0) / 40.0 * depth, depth, -(y - 20.0) / 40.0 * depth]
 
 
-def weight_of(net: PixelWeights, view: int) -> FloatArray:
+def weight_of(mesh: PixelWeights, view: int) -> FloatArray:
     """``(H, W)`` the weight that a view has."""
-    return np.asarray(np.where(net.views == view, net.weights, 0.0).sum(axis=-1))
+    return np.asarray(np.where(mesh.views == view, mesh.weights, 0.0).sum(axis=-1))
 
 
-def dense(net: PixelWeights, count: int) -> FloatArray:
+def dense(mesh: PixelWeights, count: int) -> FloatArray:
     """``(N, H, W)`` weights of all views."""
-    return np.stack([weight_of(net, view) for view in range(count)])
+    return np.stack([weight_of(mesh, view) for view in range(count)])
 
 
 def projected_homogeneously(
@@ -65,8 +65,8 @@ def test_centres_project_by_homogeneous_multiplication_on_either_side(side: floa
 def test_a_triangle_is_one_at_the_own_corner_and_falls_to_zero_at_the_opposite_side() -> None:
     corners = np.array([[10.0, 5.0], [50.0, 9.0], [22.0, 35.0]])
     centres = np.array([centre_at(*corner) for corner in corners.tolist()])
-    net = pixel_weights(centres, POSE, CAMERA)
-    weights = dense(net, 3)
+    mesh = pixel_weights(centres, POSE, CAMERA)
+    weights = dense(mesh, 3)
     np.testing.assert_allclose(weights.sum(axis=0), 1.0, atol=1e-12)
     for view, (x, y) in enumerate(corners.astype(int).tolist()):
         expected = np.zeros(3)
@@ -83,8 +83,8 @@ def test_a_triangle_is_one_at_the_own_corner_and_falls_to_zero_at_the_opposite_s
 
 def test_beyond_an_outer_edge_its_views_blend_and_beyond_a_corner_its_view_stands_alone() -> None:
     corners = [(20.0, 10.0), (40.0, 10.0), (30.0, 30.0)]
-    net = pixel_weights(np.array([centre_at(*c) for c in corners]), POSE, CAMERA)
-    weights = dense(net, 3)
+    mesh = pixel_weights(np.array([centre_at(*c) for c in corners]), POSE, CAMERA)
+    weights = dense(mesh, 3)
     # Above the upper edge the ramp along it goes on.
     np.testing.assert_allclose(weights[:, 0, 25], [0.75, 0.25, 0.0], atol=1e-9)
     np.testing.assert_allclose(weights[:, 3, 35], [0.25, 0.75, 0.0], atol=1e-9)
@@ -96,8 +96,8 @@ def test_beyond_an_outer_edge_its_views_blend_and_beyond_a_corner_its_view_stand
 
 def test_corners_along_a_straight_border_all_count() -> None:
     corners = [(x, y) for y in (10.0, 30.0) for x in (10.0, 30.0, 50.0)]
-    net = pixel_weights(np.array([centre_at(*c) for c in corners]), POSE, CAMERA)
-    weights = dense(net, 6)
+    mesh = pixel_weights(np.array([centre_at(*c) for c in corners]), POSE, CAMERA)
+    weights = dense(mesh, 6)
     np.testing.assert_allclose(weights[:, 2, 20], [0.5, 0.5, 0.0, 0.0, 0.0, 0.0], atol=1e-9)
     np.testing.assert_allclose(weights[:, 38, 45], [0.0, 0.0, 0.0, 0.0, 0.25, 0.75], atol=1e-9)
 
@@ -166,9 +166,9 @@ def test_nearly_coplanar_centres_make_no_sliver_triangles() -> None:
 
 
 def test_one_view_has_all_the_weight() -> None:
-    net = pixel_weights(np.array([[0.3, 2.0, 0.1]]), POSE, CAMERA)
-    assert np.all(net.views == 0)
-    np.testing.assert_array_equal(weight_of(net, 0), np.ones((41, 61)))
+    mesh = pixel_weights(np.array([[0.3, 2.0, 0.1]]), POSE, CAMERA)
+    assert np.all(mesh.views == 0)
+    np.testing.assert_array_equal(weight_of(mesh, 0), np.ones((41, 61)))
 
 
 @pytest.mark.parametrize("depths", [(2.0, 3.0), (2.0, -5.0)])
@@ -184,23 +184,23 @@ def test_two_views_ramp_along_the_line_between_them(depths: tuple[float, float])
 def test_of_centres_on_one_ray_the_nearest_stays() -> None:
     shared = [centre_at(15.0, 20.0, 4.0), centre_at(15.0, 20.0, 2.0), centre_at(15.0, 20.0, -3.0)]
     centres = np.array([*shared, centre_at(45.0, 20.0, 3.0), centre_at(30.0, 5.0, 3.0)])
-    net = pixel_weights(centres, POSE, CAMERA)
-    assert weight_of(net, 1)[20, 15] == pytest.approx(1.0)
-    assert not np.any(weight_of(net, 0))
-    assert not np.any(weight_of(net, 2))
+    mesh = pixel_weights(centres, POSE, CAMERA)
+    assert weight_of(mesh, 1)[20, 15] == pytest.approx(1.0)
+    assert not np.any(weight_of(mesh, 0))
+    assert not np.any(weight_of(mesh, 2))
 
 
 def test_views_from_one_place_the_first_stays() -> None:
     centres = np.repeat([centre_at(15.0, 20.0), centre_at(45.0, 25.0)], 20, axis=0)
-    net = pixel_weights(centres, POSE, CAMERA)
-    assert set(np.unique(net.views)) == {0, 20}
+    mesh = pixel_weights(centres, POSE, CAMERA)
+    assert set(np.unique(mesh.views)) == {0, 20}
 
 
 def test_far_outside_the_image_corners_coincide_by_their_share() -> None:
     """Neighbouring numbers lie 2e-6 apart at 1e10: rounding must not tell places apart there."""
     corners = np.array([[1e10, 3.0], [np.nextafter(1e10, 2e10), 3.0], [9e9, 3.0], [5.0, 3.0]])
     corners = np.vstack([corners, [5.0 + 1e-7, 3.0], [5.001, 3.0]])
-    kept = distinct_corners(corners, np.array([2.0, 1.0, 3.0, 4.0, 5.0, 6.0]))
+    kept = distinct_vertices(corners, np.array([2.0, 1.0, 3.0, 4.0, 5.0, 6.0]))
     assert kept.tolist() == [1, 2, 3, 5]
 
 
@@ -245,8 +245,8 @@ def test_weights_are_a_partition_of_one_whatever_the_arrangement(
     centres = generator.normal(size=(count, 3)) * spread + generator.normal(size=3)
     place = centres[0] if at_centre else generator.normal(size=3)
     pose = looking(place, place + generator.normal(size=3), float(generator.uniform(-3.0, 3.0)))
-    net = pixel_weights(centres, pose, pinhole(9, 7, 6.0))
-    assert np.all(net.weights >= 0.0)
-    np.testing.assert_allclose(net.weights.sum(axis=-1), 1.0, atol=1e-9)
-    assert net.views.min() >= 0
-    assert net.views.max() < count
+    mesh = pixel_weights(centres, pose, pinhole(9, 7, 6.0))
+    assert np.all(mesh.weights >= 0.0)
+    np.testing.assert_allclose(mesh.weights.sum(axis=-1), 1.0, atol=1e-9)
+    assert mesh.views.min() >= 0
+    assert mesh.views.max() < count

@@ -63,7 +63,7 @@ def test_an_extra_whose_library_does_not_load(
     monkeypatch.syspath_prepend(tmp_path)
     assert chosen_gpu(Device.AUTO) is None
     assert "libwgpu_native.so: cannot open" in caplog.text
-    with pytest.raises(OptionError, match=r"libwgpu_native.so: cannot open.*install it anew"):
+    with pytest.raises(OptionError, match=r"libwgpu_native.so: cannot open.*reinstall it"):
         chosen_gpu(Device.GPU)
 
 
@@ -141,14 +141,14 @@ def test_an_unknown_device_is_wrong_usage(command: str) -> None:
     assert_one_line(refused.err, "'tpu' is not one of 'auto', 'cpu', 'gpu'")
 
 
-def test_rendering_on_the_card_from_the_shell(gpu: Any, scene_path: Path, tmp_path: Path) -> None:
+def test_rendering_on_the_gpu_from_the_shell(gpu: Any, scene_path: Path, tmp_path: Path) -> None:
     """A process of its own: drivers must not write to stderr, nor hold the process back."""
     command = ["render", str(scene_path), "--pose", POSE, "--width", "64"]
-    by_cpu, by_card = tmp_path / "cpu.png", tmp_path / "gpu.png"
+    by_cpu, by_gpu = tmp_path / "cpu.png", tmp_path / "gpu.png"
     succeed(*command, "-o", by_cpu, "--device", "cpu")
     program = "import sys; from lfnav_cli.main import run; sys.exit(run())"
     done = subprocess.run(
-        [sys.executable, "-c", program, *command, "-o", str(by_card), "--device", "gpu"],
+        [sys.executable, "-c", program, *command, "-o", str(by_gpu), "--device", "gpu"],
         cwd=Path(__file__).parents[2],
         env={name: value for name, value in os.environ.items() if name != "XDG_RUNTIME_DIR"},
         capture_output=True,
@@ -157,12 +157,12 @@ def test_rendering_on_the_card_from_the_shell(gpu: Any, scene_path: Path, tmp_pa
     )
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
-    images = [decode_image(path.read_bytes(), path).astype(int) for path in (by_cpu, by_card)]
+    images = [decode_image(path.read_bytes(), path).astype(int) for path in (by_cpu, by_gpu)]
     assert np.abs(images[1] - images[0]).max() <= 1
     assert images[0].std() > 10.0
 
 
-def test_localizing_on_the_card(gpu: Any, scene_path: Path, tmp_path: Path) -> None:
+def test_localizing_on_the_gpu(gpu: Any, scene_path: Path, tmp_path: Path) -> None:
     data = first_frames(ELEVATORS / "test", tmp_path / "data", 2)
     command: list[str | Path] = ["localize", scene_path, data, "--quiet", "--init", "-1.7,-3.2,90"]
     command += ["--particles", "60", "--start-particles", "60"]
@@ -197,10 +197,10 @@ def test_docking_hands_the_device_on(scene_path: Path, monkeypatch: pytest.Monke
         assert_one_line(lfnav(*command, *options).err, f"asked for {device}")
 
 
-def test_photos_too_large_for_the_card(
+def test_photos_too_large_for_the_gpu(
     gpu: Any, scene_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Asked for the card, that is an error; left to choose, the CPU does it and says so."""
+    """Asked for the GPU, that is an error; left to choose, the CPU does it and says so."""
     from dataclasses import replace
 
     from pipelines.lightfield.scene_file import load_scene

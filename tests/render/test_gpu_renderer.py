@@ -1,6 +1,6 @@
-"""The graphics card against the readable renderer and the CPU path.
+"""The GPU against the readable renderer and the CPU path.
 
-A card computes in single precision. Where a pixel lies within 1e-6 of an image's border, of a depth
+A GPU computes in single precision. Where a pixel lies within 1e-6 of an image's border, of a depth
 map's pixel or of a pyramid level's range, rounding decides; such pixels are rare, and one of them
 moves a cost by less than 2e-4.
 """
@@ -60,7 +60,7 @@ def assert_same_image(
     blending: Blending,
     quality: Quality = Quality.PLANE,
 ) -> float:
-    """The card renders what the readable renderer does; returns the share of covered pixels."""
+    """The GPU renders what the readable renderer does; returns the share of covered pixels."""
     views, plane, pose = light_field
     expected, covered = render_reference(views, plane, pose, camera, blending, quality)
     renderer = GpuRenderer(views, plane, blending, quality, threads=1, gpu=gpu)
@@ -169,10 +169,10 @@ def test_costs_of_nets_and_depth_maps(gpu: Gpu, blending: Blending, quality: Qua
     renderer = Renderer(views, plane, blending, quality, threads=1)
     poses = np.concatenate([pose[None], poses_around(generator, 40)])
     query = camera_image(renderer, pose, CAMERA, generator)
-    card = GpuRenderer(views, plane, blending, quality, gpu=gpu)
+    on_gpu = GpuRenderer(views, plane, blending, quality, gpu=gpu)
     for cost in (Cost.SQUARED, Cost.ROBUST):
         expected = renderer.costs(poses, CAMERA, query, cost, True)
-        assert_same_costs(card.costs(poses, CAMERA, query, cost, True), expected)
+        assert_same_costs(on_gpu.costs(poses, CAMERA, query, cost, True), expected)
 
 
 @pytest.mark.parametrize(
@@ -192,14 +192,14 @@ def test_evidence(gpu: Gpu, blending: Blending, quality: Quality) -> None:
             views = with_depth(views, generator, 0.8)
         camera = RESOLUTIONS[number]
         renderer = Renderer(views, plane, blending, quality, threads=1)
-        card = GpuRenderer(views, plane, blending, quality, gpu=gpu)
+        on_gpu = GpuRenderer(views, plane, blending, quality, gpu=gpu)
         poses = np.concatenate([pose[None], poses_around(generator, 30)])
         query = camera_image(renderer, pose, camera, generator)
         # More rows and columns than pixels in a group of four, and no entry like another.
         evidence = random_evidence(generator)
         expected, found = (
             each.costs(poses, camera, query, Cost.EVIDENCE, False, evidence)
-            for each in (renderer, card)
+            for each in (renderer, on_gpu)
         )
         # Where a difference lies on the border of two bins, rounding decides; that is rare.
         largest = np.abs(np.diff(evidence.table, axis=1)).max()
@@ -208,12 +208,12 @@ def test_evidence(gpu: Gpu, blending: Blending, quality: Quality) -> None:
         assert difference.max() < 3.0 * largest
         # What is not covered adds exactly nothing, the table of the last call is not remembered.
         away = looking([0.2, -2.5, 1.0], [0.1, -9.0, 1.0])[None]
-        assert card.costs(away, camera, query, Cost.EVIDENCE, False, evidence)[0] == 0.0
+        assert on_gpu.costs(away, camera, query, Cost.EVIDENCE, False, evidence)[0] == 0.0
         doubled = replace(evidence, table=2.0 * evidence.table)
-        again = card.costs(poses, camera, query, Cost.EVIDENCE, False, doubled)
+        again = on_gpu.costs(poses, camera, query, Cost.EVIDENCE, False, doubled)
         np.testing.assert_allclose(again, 2.0 * found, rtol=1e-5, atol=1e-4)
         with pytest.raises(OptionError, match="takes a table of evidence"):
-            card.costs(poses, camera, query, Cost.EVIDENCE, False)
+            on_gpu.costs(poses, camera, query, Cost.EVIDENCE, False)
 
 
 def some_work(seed: int) -> tuple[Views, Plane, FloatArray, Float32Array]:
@@ -251,22 +251,22 @@ def test_chunks_and_repetition_change_no_bit(
     assert whole.costs(poses[:0], CAMERA, query, Cost.SQUARED, True).shape == (0,)
 
 
-def test_working_memory_is_bounded_by_the_card(gpu: Gpu) -> None:
+def test_working_memory_is_bounded_by_the_gpu(gpu: Gpu) -> None:
     camera = pinhole(40, 30, 30.0)
     for largest in (1 << 27, 1 << 20):
         limits = {**gpu.limits, "max-storage-buffer-binding-size": largest}
-        card = replace(gpu, limits=limits)
+        limited = replace(gpu, limits=limits)
         sizes = Sizes(camera, tile_bytes(camera), 2.0, has_images=True)
-        together = sizes.poses_at_a_time(card, view_count=28)
+        together = sizes.poses_at_a_time(limited, view_count=28)
         each = sizes.bytes_per_pose()
         assert together >= 1
         assert together * max(each.values()) <= largest
         assert together * sum(each.values()) <= MEMORY_AT_A_TIME
         # The most work for one go, whatever the number of views.
-        assert sizes.poses_at_a_time(card, 10_000_000) < together
+        assert sizes.poses_at_a_time(limited, 10_000_000) < together
     with pytest.raises(OptionError, match=r"4000x3000 pixels is too large .* device cpu"):
         huge = pinhole(4000, 3000, 3000.0)
-        Sizes(huge, tile_bytes(huge), 0.0, has_images=True).poses_at_a_time(card, 28)
+        Sizes(huge, tile_bytes(huge), 0.0, has_images=True).poses_at_a_time(limited, 28)
 
 
 def test_a_thousand_views_share_the_cards_layers(gpu: Gpu) -> None:
@@ -277,7 +277,7 @@ def test_a_thousand_views_share_the_cards_layers(gpu: Gpu) -> None:
     views = build_views(images, [pinhole(16, 12, 14.0)] * 1000, poses)
     query = generator.integers(0, 256, (18, 24, 3)).astype(np.uint8)
     expected = Renderer(views, WALL).costs(poses[:5], CAMERA, query, Cost.SQUARED, False)
-    # As many as every card has; the fewest with which these views fit; one less.
+    # As many as every GPU has; the fewest with which these views fit; one less.
     for layers, side in ((256, 8192), (1, 1024)):
         limits = {
             **gpu.limits,
@@ -306,8 +306,8 @@ def test_far_from_the_origin_of_the_world(gpu: Gpu) -> None:
     moved_poses = poses.copy()
     moved_poses[:, :3, 3] += shift
     expected = Renderer(views, plane, threads=1).costs(poses, CAMERA, query, Cost.SQUARED, True)
-    card = GpuRenderer(moved, moved_plane, gpu=gpu)
-    assert_same_costs(card.costs(moved_poses, CAMERA, query, Cost.SQUARED, True), expected)
+    on_gpu = GpuRenderer(moved, moved_plane, gpu=gpu)
+    assert_same_costs(on_gpu.costs(moved_poses, CAMERA, query, Cost.SQUARED, True), expected)
 
 
 @pytest.mark.parametrize("blending", Blending)

@@ -12,9 +12,10 @@ from pipelines.geometry.plane import Plane, plane_inverse_depth
 from pipelines.geometry.pose import base_from_camera_mount, world_from_base_planar
 from pipelines.lightfield.views import Views, build_views, without_view
 from pipelines.render.blending import MOST_RANKED, Blending
-from pipelines.render.reference import render_reference, view_mappings
+from pipelines.render.reference import render_reference
 from pipelines.render.renderer import Renderer
 from pipelines.render.surface import Quality
+from pipelines.render.view_mapping import ViewMapping
 from tests.lightfield_samples import WALL, looking, noise_views, pinhole, tilted_wall
 
 LightField = tuple[Views, Plane, FloatArray]
@@ -92,7 +93,7 @@ def two_views(generator: np.random.Generator) -> LightField:
 
 
 def robot(generator: np.random.Generator) -> LightField:
-    """All cameras at the same height and level: the net lies on the horizon."""
+    """All cameras at the same height and level: the mesh lies on the horizon."""
     mount = base_from_camera_mount([0.1, 0.0, 1.0], [0.0, 0.0, 0.0])
     count = 9
     states = np.column_stack(
@@ -209,9 +210,10 @@ def test_views_finer_than_the_virtual_camera(blending: Blending) -> None:
         camera = pinhole(side, side, float(generator.uniform(0.3, 1.5)) * side)
         plane = tilted_wall(generator)
         assert_agree(views, plane, pose, camera, blending)
-        maps, shifts = view_mappings(views, pose, camera)
+        mapping = ViewMapping.of(views, pose, camera)
         inverse_depth = plane_inverse_depth(plane, pose, camera)[side // 2, side // 2]
-        middle = maps @ np.array([side // 2, side // 2, 1.0]) + shifts * inverse_depth
+        pixel = np.array([side // 2, side // 2, 1.0])
+        middle = mapping.into_all_views(pixel, float(inverse_depth))
         scale = views.arrays.focal / (camera.fx * middle[:, 2])
         used |= set(np.floor(np.log2(scale) + 0.5).astype(int).tolist())
     assert used >= {1, 2, 3, 4}

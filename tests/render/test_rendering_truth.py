@@ -93,7 +93,7 @@ GENERAL = [
 ]
 POSES = {
     "between the positions": looking([0.2, -2.8, 1.0], [0.1, 0.0, 1.0]),
-    "in front of them (mirrored net)": looking([0.1, -1.5, 0.9], [0.3, 0.0, 1.1], 0.2),
+    "in front of them (mirrored mesh)": looking([0.1, -1.5, 0.9], [0.3, 0.0, 1.1], 0.2),
     "behind them": looking([-0.3, -5.0, 1.2], [0.2, 0.0, 0.9], -0.1),
     "beside them, at an angle": looking([2.3, -2.0, 1.1], [0.3, 0.0, 1.0]),
 }
@@ -122,7 +122,7 @@ def test_views_show_what_a_camera_would_see(
 def test_views_over_depth_maps_show_what_a_camera_would_see(
     recorded: str, place: str, plane: Plane, blending: Blending
 ) -> None:
-    """The same truth where the surface comes from the views' depth maps, mirrored net included."""
+    """The same truth where the surface comes from the views' depth maps, mirrored mesh included."""
     poses = {"line": LINE, "general": GENERAL}[recorded]
     pose = POSES[place]
     flat = photographed(poses, RECORDED, plane)

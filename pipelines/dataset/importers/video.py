@@ -97,7 +97,7 @@ class _Selection:
             # Half a frame's time of tolerance keeps rounding from skipping a frame too many.
             if index % self.every or time < due - self.frame_time / 2.0:
                 continue
-            # After a gap the rhythm starts anew.
+            # After a gap the sampling starts again.
             start = time if due == -math.inf else max(due, time - self.frame_time)
             due = start + self.period
             yield _Moment(index, time)

@@ -175,7 +175,7 @@ fn compare(
 ) {
   let slot = group.x;
   let pose = poses[settings.first + slot];
-  build_cells(slot, pose, lane, LANES);
+  build_regions(slot, pose, lane, LANES);
   let block_count = blocks().x * blocks().y;
   var sums = Sums(vec4(0.0), vec4(0.0));
   for (var block = 0u; block < block_count; block++) {

@@ -9,15 +9,15 @@ struct Settings {
   first: u32,  // pose of the first workgroup
   view_count: u32,
   levels: u32,  // of the pyramids
-  mesh_rounds: u32,  // gaps in the mesh are closed in so many steps
-  mesh_size: vec2<u32>,
-  spacing: f32,  // of the mesh's corners, pixels
+  grid_rounds: u32,  // holes of the depth grid are filled in so many rounds
+  grid_size: vec2<u32>,
+  spacing: f32,  // of the depth grid's vertices, pixels
   focal: f32,  // mean of fx and fy
   compared: f32,  // pixels of the camera image that count
   compared_pairs: f32,  // neighbours of which both count
   middle: f32,  // mean of the camera image, grey levels
-  usual_inverse_depth: f32,
-  cells: u32,  // of each net of triangles
+  typical_inverse_depth: f32,
+  regions: u32,  // of each Delaunay mesh
 }
 
 struct Pose {  // world_from_camera: rows of the rotation, the centre in the last column

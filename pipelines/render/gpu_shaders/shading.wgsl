@@ -1,4 +1,4 @@
-// One virtual pixel: the weighted sum of what its cell's views show.
+// One virtual pixel: the weighted sum of what the views of its region (tile or triangle) show.
 
 @group(0) @binding(6) var<storage, read> areas: array<vec4<u32>>;  // of a level: x, y, width, height
 @group(0) @binding(7) var texels: texture_2d_array<u32>;
@@ -43,9 +43,9 @@ fn projected_centre(view: View, pose: Pose) -> vec2<f32> {
   return settings.pinhole.xy * seen.xy / depth + settings.pinhole.zw;
 }
 
-// What the view with the nearest projected centre shows, of those that show the pixel; one that may
-// be occluded only where all others are.
-fn substitute(
+// What the fallback view shows: of those that show the pixel the one with the nearest projected
+// centre; an occluded one only where all are.
+fn fallback(
   slot: u32, pose: Pose, pixel: vec2<f32>, ray: vec3<f32>, d: f32
 ) -> vec4<f32> {
   var best = NO_VIEW;
@@ -89,17 +89,17 @@ fn shade(slot: u32, pose: Pose, pixel: vec2<u32>) -> vec4<f32> {
   }
   let place_on_screen = vec2<f32>(pixel);
   let ray = ray_of(pose, place_on_screen.x, place_on_screen.y);
-  let cell = cell_of(slot, pixel);
-  if (cell.is_empty) {
+  let region = region_of(slot, pixel);
+  if (region.is_empty) {
     return vec4(0.0);
   }
   var total = vec4(0.0);
   for (var member = 0u; member < MEMBERS; member++) {
-    let index = member_of(cell, member);
+    let index = member_of(region, member);
     if (index == NO_VIEW) {
       break;
     }
-    let weight = weight_of(cell, member);
+    let weight = weight_of(region, member);
     if (weight <= 0.0) {
       continue;
     }
@@ -118,5 +118,5 @@ fn shade(slot: u32, pose: Pose, pixel: vec2<u32>) -> vec4<f32> {
   if (total.w > SMALLEST_WEIGHT) {
     return vec4(total.xyz / total.w, 1.0);
   }
-  return substitute(slot, pose, place_on_screen, ray, d);
+  return fallback(slot, pose, place_on_screen, ray, d);
 }

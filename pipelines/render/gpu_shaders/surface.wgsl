@@ -1,5 +1,5 @@
-// The surface that the photos' depth maps describe, seen from each pose (module proxy): a
-// workgroup projects the depth maps of the nearest views onto a mesh and interpolates in it.
+// The surface that the photos' depth maps describe, seen from each pose (module surface): a
+// workgroup splats the depth maps of the nearest views onto a depth grid and interpolates in it.
 
 struct Source {
   x: vec4<f32>,  // rows of the matrix from pixels to world directions, the axis in the last column
@@ -10,21 +10,21 @@ struct Source {
 
 @group(0) @binding(4) var<storage, read> sources: array<Source>;
 @group(0) @binding(5) var<storage, read_write> surfaces: array<f32>;
-// Inverse depths, not negative, so that their bits are in order; two meshes for each pose.
-@group(0) @binding(6) var<storage, read_write> meshes: array<atomic<u32>>;
+// Inverse depths, not negative, so that their bits are in order; two grids for each pose.
+@group(0) @binding(6) var<storage, read_write> grids: array<atomic<u32>>;
 
 const LANES: u32 = 64u;
 
 var<workgroup> smallest: array<vec2<f32>, LANES>;  // cost and view
-var<workgroup> filled: atomic<u32>;
+var<workgroup> is_filled: atomic<u32>;
 
-fn turn_cost(index: u32, pose: Pose) -> f32 {
+fn source_cost(index: u32, pose: Pose) -> f32 {
   let source = sources[index];
   let distance = length(centre_of_view(views[index]) - centre_of_pose(pose));
   let axis = vec3(source.x.w, source.y.w, source.z.w);
   // Two unit vectors: their distance is sqrt(2 - 2 cosine).
-  let turn = length(axis - vec3(pose.x.z, pose.y.z, pose.z.z));
-  return distance * settings.usual_inverse_depth + TURN_COST * turn;
+  let rotation = length(axis - vec3(pose.x.z, pose.y.z, pose.z.z));
+  return distance * settings.typical_inverse_depth + ROTATION_COST * rotation;
 }
 
 fn is_before(a: vec2<f32>, b: vec2<f32>) -> bool {
@@ -36,7 +36,7 @@ fn is_before(a: vec2<f32>, b: vec2<f32>) -> bool {
 fn next_source(lane: u32, pose: Pose, previous: vec2<f32>) -> vec2<f32> {
   var best = vec2(LARGEST, f32(settings.view_count));
   for (var index = lane; index < settings.view_count; index += LANES) {
-    let own = vec2(turn_cost(index, pose), f32(index));
+    let own = vec2(source_cost(index, pose), f32(index));
     if (depth_map_size(views[index]).x > 0u && is_before(previous, own) && is_before(own, best)) {
       best = own;
     }
@@ -56,12 +56,12 @@ fn next_source(lane: u32, pose: Pose, previous: vec2<f32>) -> vec2<f32> {
   return first;
 }
 
-fn mesh_cells() -> u32 {
-  return settings.mesh_size.x * settings.mesh_size.y;
+fn grid_vertices() -> u32 {
+  return settings.grid_size.x * settings.grid_size.y;
 }
 
-fn mesh_value(first: u32, cell: vec2<u32>) -> f32 {
-  return bitcast<f32>(atomicLoad(&meshes[first + cell.y * settings.mesh_size.x + cell.x]));
+fn grid_value(first: u32, vertex: vec2<u32>) -> f32 {
+  return bitcast<f32>(atomicLoad(&grids[first + vertex.y * settings.grid_size.x + vertex.x]));
 }
 
 // Into the virtual camera, homogeneous pixels.
@@ -71,7 +71,7 @@ fn project(pose: Pose, direction: vec3<f32>) -> vec3<f32> {
   return vec3(settings.pinhole.xy * seen.xy + settings.pinhole.zw * seen.z, seen.z);
 }
 
-// Projects one depth map; of points in one cell the nearest stays.
+// Splats one depth map: each vertex keeps the nearest of its points.
 fn splat(lane: u32, first: u32, pose: Pose, index: u32) {
   let view = views[index];
   let source = sources[index];
@@ -85,34 +85,34 @@ fn splat(lane: u32, first: u32, pose: Pose, index: u32) {
   let y = project(pose, vec3(source.x.y, source.y.y, source.z.y));
   let one = project(pose, vec3(source.x.z, source.y.z, source.z.z));
   for (var sample = lane; sample < count.x * count.y; sample += LANES) {
-    let cell = sample_step * vec2(sample % count.x, sample / count.x) / PIXEL_PARTS;
-    let value = depth_at(view, cell);
+    let depth_pixel = sample_step * vec2(sample % count.x, sample / count.x) / PIXEL_PARTS;
+    let value = depth_at(view, depth_pixel);
     if (value <= 0.0) {
       continue;
     }
-    let pixel = (vec2<f32>(cell) + 0.5) * scale - 0.5;
+    let pixel = (vec2<f32>(depth_pixel) + 0.5) * scale - 0.5;
     let target_pixel = x * pixel.x + y * pixel.y + one + value * shift;
     if (target_pixel.z <= 1.0e-9) {
       continue;
     }
     let place = target_pixel.xy / target_pixel.z / settings.spacing + 0.5;
-    if (all(place >= vec2(0.0)) && all(place < vec2<f32>(settings.mesh_size))) {
-      let corner = vec2<u32>(place);
-      let at = first + corner.y * settings.mesh_size.x + corner.x;
-      atomicMax(&meshes[at], bitcast<u32>(value / target_pixel.z));
+    if (all(place >= vec2(0.0)) && all(place < vec2<f32>(settings.grid_size))) {
+      let vertex = vec2<u32>(place);
+      let at = first + vertex.y * settings.grid_size.x + vertex.x;
+      atomicMax(&grids[at], bitcast<u32>(value / target_pixel.z));
     }
   }
 }
 
-// Empty where a corner shows the background through a gap between foreground points.
-fn without_pinhole(first: u32, cell: vec2<u32>) -> f32 {
-  let own = mesh_value(first, cell);
-  let low = max(cell, vec2(1u)) - 1u;
-  let high = min(cell + 2u, settings.mesh_size);
+// Empty where a vertex shows the background through a gap between foreground points.
+fn without_pinhole(first: u32, vertex: vec2<u32>) -> f32 {
+  let own = grid_value(first, vertex);
+  let low = max(vertex, vec2(1u)) - 1u;
+  let high = min(vertex + 2u, settings.grid_size);
   var nearer = 0u;
   for (var row = low.y; row < high.y; row++) {
     for (var column = low.x; column < high.x; column++) {
-      if (mesh_value(first, vec2(column, row)) > PINHOLE_FACTOR * own) {
+      if (grid_value(first, vec2(column, row)) > PINHOLE_FACTOR * own) {
         nearer++;
       }
     }
@@ -120,18 +120,18 @@ fn without_pinhole(first: u32, cell: vec2<u32>) -> f32 {
   return select(own, 0.0, nearer >= PINHOLE_NEIGHBOURS);
 }
 
-// The farthest known neighbour of an empty corner.
-fn closed(first: u32, cell: vec2<u32>) -> f32 {
-  let own = mesh_value(first, cell);
+// The farthest known neighbour of an empty vertex.
+fn filled(first: u32, vertex: vec2<u32>) -> f32 {
+  let own = grid_value(first, vertex);
   if (own > 0.0) {
     return own;
   }
-  let low = max(cell, vec2(1u)) - 1u;
-  let high = min(cell + 2u, settings.mesh_size);
+  let low = max(vertex, vec2(1u)) - 1u;
+  let high = min(vertex + 2u, settings.grid_size);
   var farthest = LARGEST;
   for (var row = low.y; row < high.y; row++) {
     for (var column = low.x; column < high.x; column++) {
-      let other = mesh_value(first, vec2(column, row));
+      let other = grid_value(first, vec2(column, row));
       if (other > 0.0) {
         farthest = min(farthest, other);
       }
@@ -140,35 +140,35 @@ fn closed(first: u32, cell: vec2<u32>) -> f32 {
   return select(0.0, farthest, farthest < LARGEST);
 }
 
-// Bilinear between corners of one surface; across an edge, or a gap, the nearest corner.
+// Bilinear between vertices of one surface; across a depth edge, or a hole, the nearest vertex.
 fn interpolated(first: u32, place: vec2<f32>) -> f32 {
-  let last = settings.mesh_size - 1u;
+  let last = settings.grid_size - 1u;
   let near = min(vec2<u32>(place), last);
   let far = min(near + 1u, last);
   let share = place - vec2<f32>(near);
-  let a = mesh_value(first, near);
-  let b = mesh_value(first, vec2(far.x, near.y));
-  let c = mesh_value(first, vec2(near.x, far.y));
-  let d = mesh_value(first, far);
+  let a = grid_value(first, near);
+  let b = grid_value(first, vec2(far.x, near.y));
+  let c = grid_value(first, vec2(near.x, far.y));
+  let d = grid_value(first, far);
   let lowest = min(min(a, b), min(c, d));
   let highest = max(max(a, b), max(c, d));
   if (lowest > 0.0 && highest <= EDGE_FACTOR * lowest) {
     return mix(mix(a, b, share.x), mix(c, d, share.x), share.y);
   }
-  return mesh_value(first, select(far, near, share < vec2(0.5)));
+  return grid_value(first, select(far, near, share < vec2(0.5)));
 }
 
 @compute @workgroup_size(LANES)
-fn follow(
+fn build_surface(
   @builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32
 ) {
   let slot = group.x;
   let pose = poses[settings.first + slot];
-  let cells = mesh_cells();
-  var current = 2u * slot * cells;
-  var other = current + cells;
-  for (var cell = lane; cell < cells; cell += LANES) {
-    atomicStore(&meshes[current + cell], 0u);
+  let count = grid_vertices();
+  var current = 2u * slot * count;
+  var other = current + count;
+  for (var vertex = lane; vertex < count; vertex += LANES) {
+    atomicStore(&grids[current + vertex], 0u);
   }
   storageBarrier();
   // No loop with barriers in it ends early: not every compiler sees that all threads agree.
@@ -181,25 +181,25 @@ fn follow(
   }
   storageBarrier();
   var is_open = true;
-  for (var round = 0u; round <= settings.mesh_rounds; round++) {
+  for (var round = 0u; round <= settings.grid_rounds; round++) {
     if (lane == 0u) {
-      atomicStore(&filled, 0u);
+      atomicStore(&is_filled, 0u);
     }
     workgroupBarrier();
     if (is_open) {
-      for (var cell = lane; cell < cells; cell += LANES) {
-        let place = vec2(cell % settings.mesh_size.x, cell / settings.mesh_size.x);
+      for (var vertex = lane; vertex < count; vertex += LANES) {
+        let place = vec2(vertex % settings.grid_size.x, vertex / settings.grid_size.x);
         var value = 0.0;
         if (round == 0u) {
           value = without_pinhole(current, place);
-          atomicStore(&filled, 1u);
+          atomicStore(&is_filled, 1u);
         } else {
-          value = closed(current, place);
-          if (value > mesh_value(current, place)) {
-            atomicStore(&filled, 1u);
+          value = filled(current, place);
+          if (value > grid_value(current, place)) {
+            atomicStore(&is_filled, 1u);
           }
         }
-        atomicStore(&meshes[other + cell], bitcast<u32>(value));
+        atomicStore(&grids[other + vertex], bitcast<u32>(value));
       }
       let swapped = current;
       current = other;
@@ -207,7 +207,7 @@ fn follow(
     }
     storageBarrier();
     workgroupBarrier();
-    is_open = atomicLoad(&filled) > 0u;
+    is_open = atomicLoad(&is_filled) > 0u;
     workgroupBarrier();
   }
   let pixels = settings.size.x * settings.size.y;

@@ -1,31 +1,31 @@
-// The unstructured-lumigraph rule (module blending): the best views at some points, those of the
-// outlook and the corners of the tiles; and of each tile the views of its four corners with their
-// weights there.
+// The unstructured-lumigraph rule (module blending): the best views at some points, those at which
+// candidates are selected and the corners of the tiles; and of each tile the views of its four
+// corners with their weights there.
 
-// Of each pose: two words of four for a point (views and their number; weights), then for each
-// tile three words of views and one word of corner weights for each of these.
-@group(0) @binding(4) var<storage, read_write> workspace: array<vec4<u32>>;
+// Of each pose, in units of four words: two for a point (views and their number; weights), then for
+// each tile three of views and one of corner weights for each of these.
+@group(0) @binding(4) var<storage, read_write> regions: array<vec4<u32>>;
 
 const VIEWS_PER_CORNER: u32 = 3u;
 const VIEWS_PER_TILE: u32 = 12u;
-const TILE_WORDS: u32 = 15u;
+const TILE_UNITS: u32 = 15u;
 
-const OUTLOOK: u32 = OUTLOOK_POINTS * OUTLOOK_POINTS;
+const CANDIDATES: u32 = CANDIDATE_POINTS * CANDIDATE_POINTS;
 
 fn point_count() -> u32 {
-  return OUTLOOK + (settings.tiles.x + 1u) * (settings.tiles.y + 1u);
+  return CANDIDATES + (settings.tiles.x + 1u) * (settings.tiles.y + 1u);
 }
 
 fn tile_count() -> u32 {
   return settings.tiles.x * settings.tiles.y;
 }
 
-fn workspace_of(slot: u32) -> u32 {
-  return slot * (2u * point_count() + TILE_WORDS * tile_count());
+fn first_word_of(slot: u32) -> u32 {
+  return slot * (2u * point_count() + TILE_UNITS * tile_count());
 }
 
 fn tile_words(slot: u32, tile: u32) -> u32 {
-  return workspace_of(slot) + 2u * point_count() + TILE_WORDS * tile;
+  return first_word_of(slot) + 2u * point_count() + TILE_UNITS * tile;
 }
 
 // Pixel on which a corner of the tiles lies.
@@ -33,7 +33,7 @@ fn border(corner: vec2<u32>) -> vec2<u32> {
   return min(corner * settings.size / settings.tiles, settings.size - 1u);
 }
 
-// Whether a view may stand in where the chosen ones do not show a pixel.
+// Whether a view may be the fallback where the chosen ones do not show a pixel.
 fn takes_part(slot: u32, index: u32) -> bool {
   return true;
 }
@@ -71,12 +71,12 @@ fn border_penalty(view: View, place: vec3<f32>) -> f32 {
 }
 
 fn pixel_of_point(point: u32) -> vec2<u32> {
-  if (point < OUTLOOK) {
-    let step = vec2(point % OUTLOOK_POINTS, point / OUTLOOK_POINTS);
-    return step * (settings.size - 1u) / (OUTLOOK_POINTS - 1u);
+  if (point < CANDIDATES) {
+    let step = vec2(point % CANDIDATE_POINTS, point / CANDIDATE_POINTS);
+    return step * (settings.size - 1u) / (CANDIDATE_POINTS - 1u);
   }
   let columns = settings.tiles.x + 1u;
-  return border(vec2((point - OUTLOOK) % columns, (point - OUTLOOK) / columns));
+  return border(vec2((point - CANDIDATES) % columns, (point - CANDIDATES) / columns));
 }
 
 // The best views of a point so far, in order; of equal ones the first of all views comes first.
@@ -128,11 +128,11 @@ fn ranked(best: Best, index: u32, pose: Pose, ray: vec3<f32>, d: f32) -> Best {
   return with_view(best, index, ray_penalty(view, pose, ray, d, offset) + border_penalty(view, place));
 }
 
-fn is_narrowed() -> bool {
+fn selects_candidates() -> bool {
   return settings.view_count > MOST_RANKED;
 }
 
-// Of all views, or of those that are the best at any of the outlook's points.
+// Of all views, or of the candidates alone.
 fn best_views(slot: u32, pose: Pose, ray: vec3<f32>, d: f32, of_all: bool) -> Best {
   var best = Best(vec4(NO_VIEW), vec4(LARGEST));
   if (of_all) {
@@ -141,9 +141,9 @@ fn best_views(slot: u32, pose: Pose, ray: vec3<f32>, d: f32, of_all: bool) -> Be
     }
     return best;
   }
-  for (var point = 0u; point < OUTLOOK; point++) {
+  for (var point = 0u; point < CANDIDATES; point++) {
     // The same view may be found at many points.
-    let found = workspace[workspace_of(slot) + 2u * point];
+    let found = regions[first_word_of(slot) + 2u * point];
     if (found.w > 0u && all(best.views != vec4(found.x))) {
       best = ranked(best, found.x, pose, ray, d);
     }
@@ -153,13 +153,13 @@ fn best_views(slot: u32, pose: Pose, ray: vec3<f32>, d: f32, of_all: bool) -> Be
 
 // Writes the best views of one point, and weights with sum 1 that fall to zero where the next best
 // view takes over.
-fn weigh_point(slot: u32, pose: Pose, point: u32) {
+fn weight_point(slot: u32, pose: Pose, point: u32) {
   let pixel = pixel_of_point(point);
   let d = surface_at(slot, pose, pixel);
   var best = Best(vec4(NO_VIEW), vec4(LARGEST));
   if (d > 0.0) {
     let ray = ray_of(pose, f32(pixel.x), f32(pixel.y));
-    best = best_views(slot, pose, ray, d, point < OUTLOOK || !is_narrowed());
+    best = best_views(slot, pose, ray, d, point < CANDIDATES || !selects_candidates());
   }
   let penalty = best.penalties;
   var share = vec3(1.0);
@@ -177,15 +177,15 @@ fn weigh_point(slot: u32, pose: Pose, point: u32) {
   } else {
     share = vec3(1.0 / f32(max(count, 1u)));
   }
-  let at = workspace_of(slot) + 2u * point;
-  workspace[at] = vec4(best.views.xyz, count);
-  workspace[at + 1u] = bitcast<vec4<u32>>(vec4(share, 0.0));
+  let at = first_word_of(slot) + 2u * point;
+  regions[at] = vec4(best.views.xyz, count);
+  regions[at + 1u] = bitcast<vec4<u32>>(vec4(share, 0.0));
 }
 
 // Writes the views of a tile's corners and each one's weights at all four.
 fn join_corners(slot: u32, tile: u32) {
   let columns = settings.tiles.x + 1u;
-  let upper = OUTLOOK + (tile / settings.tiles.x) * columns + tile % settings.tiles.x;
+  let upper = CANDIDATES + (tile / settings.tiles.x) * columns + tile % settings.tiles.x;
   var members: array<u32, 12>;
   var weights: array<vec4<f32>, 12>;
   for (var member = 0u; member < VIEWS_PER_TILE; member++) {
@@ -194,9 +194,9 @@ fn join_corners(slot: u32, tile: u32) {
   }
   var count = 0u;
   for (var corner = 0u; corner < 4u; corner++) {
-    let at = workspace_of(slot) + 2u * (upper + (corner >> 1u) * columns + (corner & 1u));
-    let best = workspace[at];
-    let share = bitcast<vec4<f32>>(workspace[at + 1u]);
+    let at = first_word_of(slot) + 2u * (upper + (corner >> 1u) * columns + (corner & 1u));
+    let best = regions[at];
+    let share = bitcast<vec4<f32>>(regions[at + 1u]);
     for (var rank = 0u; rank < best.w; rank++) {
       var member = 0u;
       while (member < count && members[member] != best[rank]) {
@@ -212,25 +212,25 @@ fn join_corners(slot: u32, tile: u32) {
   let at = tile_words(slot, tile);
   for (var word = 0u; word < 3u; word++) {
     let first = 4u * word;
-    workspace[at + word] = vec4(
+    regions[at + word] = vec4(
       members[first], members[first + 1u], members[first + 2u], members[first + 3u]
     );
   }
   for (var member = 0u; member < count; member++) {
-    workspace[at + 3u + member] = bitcast<vec4<u32>>(weights[member]);
+    regions[at + 3u + member] = bitcast<vec4<u32>>(weights[member]);
   }
 }
 
 // All steps, by one workgroup.
-fn build_cells(slot: u32, pose: Pose, lane: u32, lanes: u32) {
-  if (is_narrowed()) {
-    for (var point = lane; point < OUTLOOK; point += lanes) {
-      weigh_point(slot, pose, point);
+fn build_regions(slot: u32, pose: Pose, lane: u32, lanes: u32) {
+  if (selects_candidates()) {
+    for (var point = lane; point < CANDIDATES; point += lanes) {
+      weight_point(slot, pose, point);
     }
     storageBarrier();
   }
-  for (var point = OUTLOOK + lane; point < point_count(); point += lanes) {
-    weigh_point(slot, pose, point);
+  for (var point = CANDIDATES + lane; point < point_count(); point += lanes) {
+    weight_point(slot, pose, point);
   }
   storageBarrier();
   for (var tile = lane; tile < tile_count(); tile += lanes) {
@@ -241,25 +241,25 @@ fn build_cells(slot: u32, pose: Pose, lane: u32, lanes: u32) {
 
 const MEMBERS: u32 = VIEWS_PER_TILE;
 
-struct Cell {
+struct Region {
   is_empty: bool,
   words: u32,
   shares: vec4<f32>,  // of the tile's corners at the pixel
 }
 
-fn cell_of(slot: u32, pixel: vec2<u32>) -> Cell {
+fn region_of(slot: u32, pixel: vec2<u32>) -> Region {
   let tile = tile_of(pixel);
   let first = border(tile);
   let step = vec2<f32>(max(border(tile + 1u) - first, vec2(1u)));
   let s = vec2<f32>(pixel - first) / step;
   let shares = vec4((1.0 - s.x) * (1.0 - s.y), s.x * (1.0 - s.y), (1.0 - s.x) * s.y, s.x * s.y);
-  return Cell(false, tile_words(slot, tile.y * settings.tiles.x + tile.x), shares);
+  return Region(false, tile_words(slot, tile.y * settings.tiles.x + tile.x), shares);
 }
 
-fn member_of(cell: Cell, member: u32) -> u32 {
-  return workspace[cell.words + (member >> 2u)][member & 3u];
+fn member_of(region: Region, member: u32) -> u32 {
+  return regions[region.words + (member >> 2u)][member & 3u];
 }
 
-fn weight_of(cell: Cell, member: u32) -> f32 {
-  return dot(cell.shares, bitcast<vec4<f32>>(workspace[cell.words + 3u + member]));
+fn weight_of(region: Region, member: u32) -> f32 {
+  return dot(region.shares, bitcast<vec4<f32>>(regions[region.words + 3u + member]));
 }

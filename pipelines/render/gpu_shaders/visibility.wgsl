@@ -1,9 +1,10 @@
-// Which views see any of a grid of surface points of the virtual frustum: only these are in the net.
+// Which views see any of a grid of surface points of the virtual frustum: only these are in
+// the mesh.
 
-@group(0) @binding(4) var<storage, read_write> sights: array<u32>;
+@group(0) @binding(4) var<storage, read_write> visible: array<u32>;
 
 @compute @workgroup_size(64)
-fn look(@builtin(global_invocation_id) id: vec3<u32>) {
+fn find_visible(@builtin(global_invocation_id) id: vec3<u32>) {
   if (id.x >= settings.view_count) {
     return;
   }
@@ -20,5 +21,5 @@ fn look(@builtin(global_invocation_id) id: vec3<u32>) {
       seen |= u32(is_inside(view, place));
     }
   }
-  sights[id.z * settings.view_count + id.x] = seen;
+  visible[id.z * settings.view_count + id.x] = seen;
 }

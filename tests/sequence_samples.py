@@ -69,10 +69,10 @@ def increments(truth: FloatArray) -> list[FloatArray]:
     return [np.zeros(3), *(planar_state_of(inverse(a) @ b) for a, b in pairwise(poses))]
 
 
-def drive(
+def localize_sequence(
     robot: Localizer, truth: FloatArray = TRUTH, images: Sequence[ImageArray] | None = None
 ) -> list[FrameRecord]:
-    """The records of a drive with exact odometry; images other than the true ones on request."""
+    """The records of a sequence with exact odometry; images other than the true ones on request."""
     taken = [photo(state) for state in truth] if images is None else images
     return [
         robot.step(image, motion, float(number), f"{number}.png")
