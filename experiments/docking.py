@@ -1,4 +1,4 @@
-"""Docks a simulated robot from many starts and makes a table of how that went.
+"""Docks a simulated robot from many starts and tabulates the outcomes.
 
     python experiments/docking.py SCENE.h5 ROBOT -o FOLDER [--rows omni,diff] [--starts 20]
         [--workers 2] [--camera-width 240] [--samples 16]
@@ -8,8 +8,8 @@ another model of it as the robot's world; for the row ``doorway``, SCENE.h5 is a
 that ``doorway.py`` photographs and ROBOT ``sim:sample_data/doorway/scene/scene.xml``. With
 ``sim:FOLDER`` it docks in several scenes of one place, by default the lobby under the lamps of the
 map, under lamps from the side, in the evening and with people (``--scenes``). A path-traced docking
-takes a minute or two. What was interrupted goes on where it was: dockings whose run and result are
-in FOLDER, made with the same settings, are not done again.
+takes a minute or two. An interrupted study is continued: dockings whose run and result are in
+FOLDER and have the same settings are not repeated.
 """
 
 import argparse
@@ -40,10 +40,10 @@ HALF_FIELD_OF_VIEW = math.radians(29.0)
 SEED = 123
 RANDOM = MotionNoise()
 SYSTEMATIC = replace(RANDOM, scale=0.15, drift=math.radians(9.0))
-# Scenes of one place; docked farther from the goal than this, metres, is docked falsely.
+# Scenes of one place. A robot docked farther from the goal than this (metres) is docked falsely.
 SCENES = ("scene", "scene_side", "scene_evening", "scene_people")
 FALSELY_DOCKED = 0.05
-# The true path is looked at in so many places between two images.
+# The true path is checked at this many places between two images.
 PLACES_ON_PATH = 20
 
 
@@ -63,10 +63,11 @@ class Place:
     """Where dockings take place.
 
     Attributes:
-        goal: x, y, heading.
-        x, y: of the starts.
-        wall: from where to where the map shows the wall y = 0.
-        distance: from places to what must not be touched.
+        goal: x, y (metres) and heading (radians).
+        x: range of x of the starts, metres.
+        y: range of y of the starts, metres.
+        wall: range of x in which the map shows the wall y = 0, metres.
+        distance: from places ``(N, 2)`` to their distances from obstacles, metres.
     """
 
     goal: tuple[float, float, float]
@@ -85,13 +86,13 @@ class Row:
     """A row of the table.
 
     Attributes:
-        title: of the row.
-        settings: of the docking.
+        title: text in the table.
+        settings: the docking's settings.
         motion: errors of movements and odometry.
         sees_wall: whether the camera sees some of the wall at the start, or none of it.
-        fault: kind and step of something that goes wrong, or None.
-        place: where.
-        starts: how many at most.
+        fault: kind of a fault and the step at which it begins; None: no fault.
+        place: where the robot docks.
+        starts: largest number of starts.
     """
 
     title: str
@@ -134,7 +135,7 @@ def wall_share(place: Place, state: FloatArray) -> float:
 
 
 def starts(row: Row, count: int) -> list[FloatArray]:
-    """The same random starts every time."""
+    """Random starts of a row, the same in every call."""
     rng = np.random.default_rng(SEED)
     found: list[FloatArray] = []
     place = row.place
@@ -152,12 +153,12 @@ class Inputs:
     """What all dockings of a table have in common.
 
     Attributes:
-        scene: model in which the robot is localized.
-        identifier: of it.
-        folder: to write into.
-        tracing: how ``sim:`` makes images.
-        camera_width: of these, pixels.
-        threads: of the filter; None: all processors.
+        scene: scene model in which the robot is localized.
+        identifier: identifier of the scene model.
+        folder: folder to write.
+        tracing: how a ``sim:`` robot renders images.
+        camera_width: width of these images, pixels.
+        threads: number of threads of the filter; None: one a processor.
     """
 
     scene: Path
@@ -174,9 +175,9 @@ class Task:
 
     Attributes:
         row: key of ``ROWS``.
-        world: name of the robot's world; empty where there is one alone.
-        robot: see ``robots.choice.robot_named``.
-        number: of the start.
+        world: name of the robot's world; empty where there is only one.
+        robot: name of the robot as ``robots.choice.robot_named`` takes it.
+        number: number of the start.
     """
 
     row: str
@@ -186,12 +187,12 @@ class Task:
 
     @property
     def key(self) -> str:
-        """Of the table's line."""
+        """Key of the table's line."""
         return f"{self.row} {self.world}".strip()
 
 
 def result_of(inputs: Inputs, task: Task) -> dict[str, Any]:
-    """One docking: done now, or before with the same settings."""
+    """The result of one docking, from the folder where it was done with the same settings."""
     row, number = ROWS[task.row], task.number
     x, y, heading = (float(value) for value in starts(row, number + 1)[number])
     options = RobotOptions(
@@ -251,7 +252,7 @@ def tasks(names: list[str], robot: str, scenes: list[str], count: int) -> list[T
 
 
 def done(inputs: Inputs, chosen: list[Task], workers: int) -> Iterator[tuple[Task, dict[str, Any]]]:
-    """The dockings as they end, by so many processes."""
+    """Executes dockings in several processes; yields them as they end."""
     if workers == 1:
         yield from ((task, result_of(inputs, task)) for task in chosen)
         return
@@ -264,11 +265,11 @@ def done(inputs: Inputs, chosen: list[Task], workers: int) -> Iterator[tuple[Tas
 
 
 def _silent(report: Report) -> None:
-    """Says nothing of a step."""
+    """Ignores a step."""
 
 
 def nearest(place: Place, summary: DockSummary) -> float:
-    """Metres between the robot's middle and what must not be touched, anywhere on its true path."""
+    """Least distance (metres) of the robot's centre from obstacles along its true path."""
     states = [e.true_state for e in summary.docking.entries if e.true_state is not None]
     places = np.stack(states)[:, :2]
     shares = np.linspace(0.0, 1.0, PLACES_ON_PATH)[:, None, None]
@@ -283,15 +284,15 @@ def table_line(key: str, results: list[dict[str, Any]]) -> str:
     errors = [(error["position_m"], error["heading_deg"]) for error in docked]
     metres, degrees = np.array(errors or [(math.nan, math.nan)]).T
     falsely = int(np.sum(metres > FALSELY_DOCKED))
-    endings = [r["outcome"] for r in results]
-    others = [word for word in dict.fromkeys(endings) if word != "docked"]
-    counts = ", ".join(f"{endings.count(word)} {word}" for word in others)
+    outcomes = [r["outcome"] for r in results]
+    others = [word for word in dict.fromkeys(outcomes) if word != "docked"]
+    counts = ", ".join(f"{outcomes.count(word)} {word}" for word in others)
     parts = ("total", "robot", "filter")
     seconds = {part: sum(r["seconds"][part] for r in results) for part in parts}
     robot, belief = (seconds[part] / seconds["total"] for part in ("robot", "filter"))
     cells = [
         ROWS[name].title + (f", {world}" if world else ""),
-        f"{endings.count('docked')} of {len(results)}",
+        f"{outcomes.count('docked')} of {len(results)}",
         counts or "–",
         f"{falsely}",
         f"{100 * np.median(metres):.1f} / {100 * metres.max():.1f} cm" if errors else "–",
@@ -336,7 +337,7 @@ def main(arguments: Sequence[str]) -> int:
     chosen = tasks(
         options.rows.split(","), options.robot, options.scenes.split(","), options.starts
     )
-    # A table of what is there says something of all.
+    # The table is written after every docking.
     results: dict[str, dict[int, dict[str, Any]]] = {task.key: {} for task in chosen}
     for task, last in done(inputs, chosen, options.workers):
         results[task.key][task.number] = last
@@ -355,7 +356,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def write_table(folder: Path, results: dict[str, list[dict[str, Any]]]) -> None:
-    """Writes what is there so far."""
+    """Writes the table and the results so far."""
     lines = [HEADING, *(table_line(name, found) for name, found in results.items() if found)]
     (folder / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
     (folder / "results.json").write_text(json.dumps(results, indent=2), encoding="utf-8")

@@ -1,9 +1,9 @@
-"""Compares ways to choose the pixels by which particles are weighed.
+"""Compares rules of pixel subsampling for weighing particles.
 
 Usage: lattices.py SCENE DATASET [--seed N]
 
-Prints how far log-likelihoods by some of the pixels are off from those by all, as a Markdown table;
-see docs/performance.md.
+Prints the errors of log-likelihoods by some of the pixels against those by all, as a Markdown
+table; see docs/performance.md.
 """
 
 import argparse
@@ -21,9 +21,9 @@ from pipelines.lightfield.scene_file import load_scene
 
 def main(arguments: Sequence[str]) -> int:
     """Reads the command line, measures and prints."""
-    parser = argparse.ArgumentParser(description="Ways to choose pixels, compared.")
+    parser = argparse.ArgumentParser(description="Rules of pixel subsampling, compared.")
     parser.add_argument("scene", type=Path, help="scene model")
-    parser.add_argument("dataset", type=Path, help="drive through it, with ground truth")
+    parser.add_argument("dataset", type=Path, help="sequence in it, with ground truth")
     parser.add_argument("--seed", type=int, default=0, help="of the random numbers")
     options = parser.parse_args(arguments)
     try:

@@ -1,4 +1,4 @@
-"""Makes drives on which something goes wrong of one that went well.
+"""Makes disturbed sequences from a recorded one.
 
 Usage: robustness.py DATASET -o FOLDER
 
@@ -13,24 +13,24 @@ from pathlib import Path
 
 from pipelines.artifacts.errors import LfnavError
 from pipelines.artifacts.stages import no_progress
-from pipelines.experiments.disturbed_sequences import write_disturbed_drives
+from pipelines.experiments.disturbed_sequences import DISTURBED, write_sequences
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Reads the command line and writes the drives; an existing FOLDER is replaced."""
-    parser = argparse.ArgumentParser(description="Drives on which something goes wrong.")
-    parser.add_argument("dataset", type=Path, help="drive with odometry and ground truth")
+    """Reads the command line and writes the sequences; an existing FOLDER is replaced."""
+    parser = argparse.ArgumentParser(description="Disturbed sequences.")
+    parser.add_argument("dataset", type=Path, help="sequence with odometry and ground truth")
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder to write")
     options = parser.parse_args(arguments)
     try:
-        drives = write_disturbed_drives(
-            options.dataset, options.output, overwrite=True, progress=no_progress
+        sequences = write_sequences(
+            options.dataset, options.output, DISTURBED, overwrite=True, progress=no_progress
         )
     except LfnavError as error:
         print(f"robustness.py: {error}", file=sys.stderr)
         return 1
-    for drive in drives:
-        print(drive)
+    for sequence in sequences:
+        print(sequence)
     return 0
 
 

@@ -1,4 +1,4 @@
-"""Whether what runs state can be trusted: status and confidence against the truth.
+"""Whether status and confidence of runs can be trusted: both against ground truth.
 
 Usage: trust.py CONDITIONS -o FOLDER [--data FOLDER] [--scene NAME=FILE] [--seeds 0-9] [--workers 2]
 
@@ -18,10 +18,10 @@ from pipelines.experiments.trust_stage import TABLE, study_trust
 
 def main(arguments: Sequence[str]) -> int:
     """Reads the command line and runs the study; an existing FOLDER is replaced."""
-    parser = argparse.ArgumentParser(description="Status and confidence against the truth.")
+    parser = argparse.ArgumentParser(description="Status and confidence against ground truth.")
     parser.add_argument("conditions", type=Path, help="TOML file")
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder to write")
-    parser.add_argument("--data", type=Path, help="folder of the drives that are named by data")
+    parser.add_argument("--data", type=Path, help="folder of the sequences given by data")
     parser.add_argument(
         "--scene",
         action="append",

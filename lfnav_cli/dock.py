@@ -334,8 +334,8 @@ def command(
     )
     print_summary(summary, as_json)
     if _is_quiet() and summary.exit_code != 0:
-        ending = summary.docking.outcome
-        click.echo(f"lfnav: {ending.ending.word}: {ending.reason}", err=True)
+        outcome = summary.docking.outcome
+        click.echo(f"lfnav: {outcome.kind.word}: {outcome.reason}", err=True)
     return summary.exit_code
 
 
@@ -354,6 +354,6 @@ def _print_step(report: "Report") -> None:
         x, y, heading = report.estimate
         place = f"x {x:6.2f}  y {y:6.2f}  {math.degrees(heading):6.1f} deg  +-{report.sigma:.2f} m"
     distance = "" if report.distance is None else f"  {report.distance:.2f} m to the goal"
-    doubt = f", but {report.doubt}" if report.doubt else ""
-    line = f"{report.step:4d}  {report.state:9s}  {report.status:8s}  {place}{distance}{doubt}"
+    objection = f", but {report.objection}" if report.objection else ""
+    line = f"{report.step:4d}  {report.state:9s}  {report.status:8s}  {place}{distance}{objection}"
     click.echo(line, err=True)

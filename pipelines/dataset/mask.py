@@ -7,6 +7,7 @@ A robot's bumper, the bars beside a narrow picture, or the rim of a fisheye lens
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from pipelines.artifacts.arrays import BoolArray, ImageArray
@@ -17,6 +18,8 @@ from pipelines.dataset.images import decode_grey, encode_png, image_header, read
 MASK_FILE = "mask.png"
 # A camera of which less remains tells no place from another; such a mask is a mistake.
 SMALLEST_USED_SHARE = 0.05
+# A pixel of a reduced image is used when the mask leaves more than this share of it.
+FULLY_USED = 0.99
 
 
 @dataclass(frozen=True)
@@ -81,3 +84,18 @@ def read_mask(path: Path, size: tuple[int, int], whose: str) -> Mask:
             "0 means not to be used, anything else used",
         )
     return Mask(path, used, sha256_of_bytes(data))
+
+
+def used_in_small(used: BoolArray | None, width: int, height: int) -> BoolArray:
+    """Which pixels of a reduced image are used, ``(height, width)``.
+
+    Args:
+        used: ``(H, W)``, True where the image is used; None: everywhere.
+        width: of the reduced image, pixels.
+        height: of the reduced image, pixels.
+    """
+    if used is None:
+        return np.ones((height, width), dtype=np.bool_)
+    size = (width, height)
+    shares = cv2.resize(used.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    return np.asarray(shares > FULLY_USED, dtype=np.bool_)

@@ -1,1 +1,1 @@
-"""Docking: localize, move a little towards the goal, look again, until the robot stands there."""
+"""Docking: localize, move a little towards the goal, take an image, until the robot is there."""

@@ -1,10 +1,8 @@
-"""How far the scene's surface is from a place on the floor.
+"""Clearance: the distance from a place on the floor to the scene's surface.
 
-Where the scene has depth maps, the surface is the points that they show between the floor and the
-top of the robot; where it has a plane alone, the plane, if that is a wall.
+In a scene with depth maps the surface is the obstacle points that they show between the floor and
+the top of the robot. In a scene with a plane alone it is that plane, if the plane is a wall.
 """
-
-from dataclasses import dataclass
 
 import numpy as np
 import scipy
@@ -17,17 +15,10 @@ from pipelines.lightfield.scene import Scene
 
 # A plane whose normal rises less than this is a wall.
 LARGEST_TILT = 0.3
-# The robot passes below what is higher than this above its camera, metres.
+# The robot's top is this far above its camera, metres; it passes below anything higher.
 TOP_ABOVE_CAMERA = 0.2
-# A place that lies this much farther than the surface, as seen by a view, is inside of it, metres.
+# A place farther from a view than the view's depth by more than this is behind the surface, metres.
 HIDDEN_BY = 0.1
-
-
-@dataclass(frozen=True)
-class _SurfacePoints:
-    """Where the surface stands on the floor, ``(M, 2)`` metres, ready for search."""
-
-    tree: scipy.spatial.cKDTree
 
 
 class Clearance:
@@ -35,7 +26,7 @@ class Clearance:
 
     Args:
         scene: the light field.
-        camera_height: of the robot's camera, metres.
+        camera_height: height of the robot's camera above the floor, metres.
     """
 
     def __init__(self, scene: Scene, camera_height: float) -> None:
@@ -43,23 +34,23 @@ class Clearance:
         self._scene = scene
         self._height = camera_height
         points = obstacle_points(scene, camera_height + TOP_ABOVE_CAMERA)
-        self._points = None if points is None else _SurfacePoints(scipy.spatial.cKDTree(points))
+        self._obstacles = None if points is None else scipy.spatial.cKDTree(points)
 
     @property
     def _is_wall(self) -> bool:
         return abs(float(self._plane.normal[2])) < LARGEST_TILT
 
     def distance(self, state: FloatArray) -> float:
-        """Metres from the place of a state ``(3,)`` to the surface; negative behind a plane."""
-        if self._points is not None:
-            return float(self._points.tree.query(state[:2])[0])
+        """Metres from a state ``(3,)`` to the surface; negative behind a plane."""
+        if self._obstacles is not None:
+            return float(self._obstacles.query(state[:2])[0])
         if not self._is_wall:
             return float("inf")
         return _wall_distance(self._plane, state, self._height)
 
     def is_inside(self, state: FloatArray) -> bool:
         """Whether the robot's camera at a state ``(3,)`` would be inside the surface."""
-        if self._points is None:
+        if self._obstacles is None:
             return self.distance(state) <= 0.0
         place = np.array([state[0], state[1], self._height, 1.0])
         seen, hidden = 0, 0
@@ -79,6 +70,6 @@ class Clearance:
 
 
 def _wall_distance(plane: Plane, state: FloatArray, camera_height: float) -> float:
-    # Where the wall leans, what counts is where it is nearest.
+    """Metres from a state ``(3,)`` to a wall; to its nearest point where the wall leans."""
     places = np.array([[state[0], state[1], z] for z in (0.0, camera_height)])
     return float(plane.signed_distance(places).min())

@@ -1,146 +1,138 @@
-"""Which of several poses that fit an image nearly as well: images and odometry decide together.
+"""Several poses that fit an image nearly as well: images and odometry decide together.
 
-Each pose at which an image fits (``alignment.Candidate``) is a hypothesis. From image to image it
-is carried on by odometry, and what it scores in each adds up: how well the image fits there, and
-how near the best fit lies to where odometry says. The right one fits all images and moves as the
-wheels do; a wrong one fits some (tracking of multiple hypotheses, Reid 1979). Images from one and
-the same place say the same thing, and count once.
+Each pose at which an image fits (``fine_alignment.Candidate``) is a hypothesis. Odometry carries it
+on from image to image. Its log-probability adds up how well each image fits there, and the
+normalised innovation of the fit against odometry. The right hypothesis fits all images and moves as
+odometry does; a wrong one fits some (multiple-hypothesis tracking, Reid 1979). Images taken from
+one place have the same errors and count once.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 
 from pipelines.artifacts.arrays import FloatArray
-from pipelines.dock.covered_view import Anchor
+from pipelines.dock.dead_reckoning import DeadReckonedPose
 from pipelines.dock.fine_alignment import Candidate
-from pipelines.dock.planar_motion import distance_between, turn_between
+from pipelines.dock.planar_motion import is_near, normalised_innovation
 from pipelines.dock.robot import Movement
-from pipelines.localize.state_space import PLANAR
 
-# A fit that is better by a share raises the log-probability by so many times its logarithm.
-SHARPNESS = 20.0
-# Hypotheses that odometry does not lead to begin so much lower, in natural units.
-NEW = 6.0
-# Farther than this (squared, in standard deviations) from where odometry says is another one.
-LARGEST_SURPRISE = 20.0
-# So many are kept. Older images are forgotten by this factor.
-MOST, MEMORY = 4, 0.9
-# What two images' fits err by although both are right: metres and radians.
+# Log-probability that a fit contributes: this, times the logarithm of its ratio to the best fit.
+INVERSE_TEMPERATURE = 20.0
+# A hypothesis that continues none of the previous image starts this much lower, natural units.
+NEW_HYPOTHESIS_PENALTY = 6.0
+# A candidate continues a hypothesis up to this normalised innovation.
+LARGEST_INNOVATION = 20.0
+# Number of hypotheses kept, and the factor by which older images are forgotten.
+MOST_HYPOTHESES, FORGETTING = 4, 0.9
+# Standard deviations of a correct fit beside its own covariance: metres and radians.
 FIT_POSITION, FIT_HEADING = 0.005, math.radians(0.15)
-# Poses so near to each other are one: metres and radians.
+# Poses as near to each other as this are one: metres and radians.
 SAME_POSITION, SAME_HEADING = 0.03, math.radians(1.0)
-# Movements from which an image is new: metres and radians.
-NEW_POSITION, NEW_TURN = 0.1, 0.1
+# Movements from which an image is independent of the previous one: metres and radians.
+INDEPENDENT_DISTANCE, INDEPENDENT_YAW = 0.1, 0.1
 
 
 @dataclass(frozen=True)
-class Rival:
-    """A pose that may be the right one.
+class CompetingPose:
+    """A hypothesis of where the robot is.
 
     Attributes:
-        candidate: of the last image.
-        score: log-probability, up to a common constant.
-        surprise: how far from where odometry said the last image put it, squared, in standard
-            deviations; infinite for one that has just begun.
+        candidate: its fit in the last image.
+        log_probability: up to a constant that all hypotheses share.
+        innovation: normalised innovation of the last image against odometry; infinite for a
+            hypothesis that the last image started.
     """
 
     candidate: Candidate
-    score: float
-    surprise: float = math.inf
+    log_probability: float
+    innovation: float = math.inf
 
 
 @dataclass(frozen=True)
-class Choice:
-    """The best of the rivals.
+class SelectedPose:
+    """The most probable of the competing poses.
 
     Attributes:
-        rival: it.
-        probability: that it is right, and not one of those that lie elsewhere.
+        pose: the hypothesis.
+        probability: that it is right, and none of those that lie elsewhere.
     """
 
-    rival: Rival
+    pose: CompetingPose
     probability: float
 
 
-class Rivals:
-    """Follows hypotheses from image to image."""
+class CompetingPoses:
+    """Tracks hypotheses from image to image."""
 
     def __init__(self) -> None:
-        self._rivals: list[Rival] = []
+        self._poses: list[CompetingPose] = []
 
     def expected(self, measured: Movement) -> list[FloatArray]:
-        """Where the rivals ``(3,)`` are after a movement, the best first."""
-        return [_predicted(rival, measured).state for rival in self._rivals]
+        """States ``(3,)`` of the hypotheses after a movement, the most probable first."""
+        return [
+            DeadReckonedPose(pose.candidate.state, pose.candidate.covariance).after(measured).state
+            for pose in self._poses
+        ]
 
-    def forget(self) -> None:
-        """Begins anew."""
-        self._rivals = []
-
-    def __call__(self, candidates: Sequence[Candidate], measured: Movement) -> Choice | None:
-        """The best pose in the light of all images so far; None without candidates.
+    def __call__(self, candidates: Sequence[Candidate], measured: Movement) -> SelectedPose | None:
+        """The most probable pose by all images so far; None, and a reset, without candidates.
 
         Args:
-            candidates: of this image, the best first.
-            measured: the movement since the image before, as odometry says.
+            candidates: poses at which this image fits, the best first.
+            measured: movement since the previous image by odometry.
         """
         if not candidates:
-            self.forget()
+            self._poses = []
             return None
-        worth = _novelty(measured) if self._rivals else 1.0
-        found = [self._continued(each, candidates[0].fit, worth, measured) for each in candidates]
-        found.sort(key=lambda rival: -rival.score)
-        distinct: list[Rival] = []
-        for rival in found:
-            if not any(_are_same(rival, other) for other in distinct):
-                distinct.append(rival)
-        total = float(scipy.special.logsumexp([rival.score for rival in distinct]))
-        self._rivals = [_with_score(rival, rival.score - total) for rival in distinct[:MOST]]
-        best = self._rivals[0]
-        return Choice(best, math.exp(best.score))
+        novelty = _novelty(measured) if self._poses else 1.0
+        found = [self._continued(each, candidates[0].fit, novelty, measured) for each in candidates]
+        found.sort(key=lambda pose: -pose.log_probability)
+        distinct: list[CompetingPose] = []
+        for pose in found:
+            if not any(_are_same(pose, other) for other in distinct):
+                distinct.append(pose)
+        total = float(scipy.special.logsumexp([pose.log_probability for pose in distinct]))
+        self._poses = [
+            replace(pose, log_probability=pose.log_probability - total)
+            for pose in distinct[:MOST_HYPOTHESES]
+        ]
+        best = self._poses[0]
+        return SelectedPose(best, math.exp(best.log_probability))
 
     def _continued(
-        self, candidate: Candidate, best_fit: float, worth: float, measured: Movement
-    ) -> Rival:
-        """A candidate as the continuation of whichever rival leads to it best."""
-        fit = worth * SHARPNESS * math.log(candidate.fit / best_fit)
-        options = [Rival(candidate, fit - (NEW if self._rivals else 0.0))]
-        for rival in self._rivals:
-            surprise = surprise_of(rival.candidate, candidate, measured)
-            if surprise <= LARGEST_SURPRISE:
-                score = MEMORY * rival.score + fit - 0.5 * surprise
-                options.append(Rival(candidate, score, surprise))
-        return max(options, key=lambda option: option.score)
+        self, candidate: Candidate, best_fit: float, novelty: float, measured: Movement
+    ) -> CompetingPose:
+        """A candidate as the continuation of the hypothesis that makes it most probable."""
+        fit = novelty * INVERSE_TEMPERATURE * math.log(candidate.fit / best_fit)
+        options = [CompetingPose(candidate, fit - (NEW_HYPOTHESIS_PENALTY if self._poses else 0.0))]
+        for pose in self._poses:
+            innovation = _innovation(pose.candidate, candidate, measured)
+            if innovation <= LARGEST_INNOVATION:
+                log_probability = FORGETTING * pose.log_probability + fit - 0.5 * innovation
+                options.append(CompetingPose(candidate, log_probability, innovation))
+        return max(options, key=lambda option: option.log_probability)
 
 
 def _novelty(measured: Movement) -> float:
-    """How much an image is worth, 0 to 1, from the movement since the last one."""
-    return min(1.0, math.hypot(measured.distance / NEW_POSITION, measured.turn / NEW_TURN))
-
-
-def surprise_of(before: Candidate, after: Candidate, measured: Movement) -> float:
-    """How far apart two fits and odometry are: squared, in standard deviations."""
-    own = np.diag([FIT_POSITION**2, FIT_POSITION**2, FIT_HEADING**2])
-    predicted = Anchor(before.state, before.covariance + own).after(measured)
-    difference = PLANAR.difference(after.state, predicted.state)
-    total = predicted.covariance + after.covariance + own
-    return float(difference @ np.linalg.solve(total, difference))
-
-
-def _predicted(rival: Rival, measured: Movement) -> Anchor:
-    return Anchor(rival.candidate.state, rival.candidate.covariance).after(measured)
-
-
-def _are_same(first: Rival, second: Rival) -> bool:
-    one, other = first.candidate.state, second.candidate.state
-    return (
-        distance_between(one, other) <= SAME_POSITION
-        and abs(turn_between(one, other)) <= SAME_HEADING
+    """How much an image counts, 0 to 1, by the movement since the previous one."""
+    return min(
+        1.0, math.hypot(measured.distance / INDEPENDENT_DISTANCE, measured.turn / INDEPENDENT_YAW)
     )
 
 
-def _with_score(rival: Rival, score: float) -> Rival:
-    return Rival(rival.candidate, score, rival.surprise)
+def _innovation(before: Candidate, after: Candidate, measured: Movement) -> float:
+    """Normalised innovation of a fit against the previous image's fit and odometry."""
+    own = np.diag([FIT_POSITION**2, FIT_POSITION**2, FIT_HEADING**2])
+    predicted = DeadReckonedPose(before.state, before.covariance + own).after(measured)
+    total = predicted.covariance + after.covariance + own
+    return normalised_innovation(after.state, predicted.state, total)
+
+
+def _are_same(first: CompetingPose, second: CompetingPose) -> bool:
+    """Whether two hypotheses are one pose."""
+    one, other = first.candidate.state, second.candidate.state
+    return is_near(one, other, SAME_POSITION, SAME_HEADING)

@@ -1,6 +1,6 @@
-"""The loop of a docking: take an image, localize, decide, move, until there is an outcome.
+"""The docking loop: take an image, localize, decide, move, until there is an outcome.
 
-Whatever happens, the robot is stopped first, and what was recorded so far is handed back.
+However docking ends, the robot is stopped first, and all that was recorded so far is returned.
 """
 
 import time
@@ -11,24 +11,29 @@ import numpy as np
 
 from pipelines.artifacts.arrays import BoolArray, FloatArray, ImageArray
 from pipelines.artifacts.errors import LfnavError, OptionError
-from pipelines.dock.agreement import aligned_fix, confirmed, map_covariance
 from pipelines.dock.clearance import Clearance
-from pipelines.dock.competing_poses import Rivals
-from pipelines.dock.consistency_gate import Doubt, contradicts
-from pipelines.dock.covered_view import LOOKS
+from pipelines.dock.competing_poses import CompetingPoses
+from pipelines.dock.consistency_gate import (
+    ConsistencyGate,
+    gated_by_image,
+    gated_estimate,
+    map_covariance,
+    violates_odometry,
+)
+from pipelines.dock.covered_view import WAITING_IMAGES
 from pipelines.dock.docking_log import Docking, Entry
 from pipelines.dock.exploration import Explorer
 from pipelines.dock.fine_alignment import FineAlignment
-from pipelines.dock.outcomes import Ending, Outcome
 from pipelines.dock.planar_motion import distance_between, position_sigma
-from pipelines.dock.pose_estimate import Fix, fix_of
+from pipelines.dock.pose_estimate import PoseEstimate, pose_estimate_of
 from pipelines.dock.robot import STANDSTILL, CheckedRobot, Movement, RobotError
 from pipelines.dock.safety import Safety
 from pipelines.dock.settings import DockSettings
 from pipelines.dock.smoothing import Smoother
-from pipelines.dock.stall_detection import Moment, moment_of, stood_still
-from pipelines.dock.state_machine import Memory, Phase, Pilot
-from pipelines.dock.visibility import Lookout
+from pipelines.dock.stall_detection import Snapshot, is_stalled, snapshot_of
+from pipelines.dock.state_machine import DockingStateMachine
+from pipelines.dock.states import DockingState, Outcome, OutcomeKind, Phase
+from pipelines.dock.visibility import VisibilityCheck
 from pipelines.geometry.camera import Undistorter
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.localizer import Localizer
@@ -41,17 +46,17 @@ from pipelines.render.surface import Quality, quality_named
 
 @dataclass(frozen=True)
 class Report:
-    """What can be said of a step while the docking goes on.
+    """One step of docking, reported while it goes on.
 
     Attributes:
-        step: number of the image.
-        state: name of the state.
-        status: of the filter.
-        estimate: ``(3,)`` or None where there is nothing to rely on.
-        sigma: metres, of the estimate.
-        distance: metres from the goal; None likewise.
-        command: the movement that comes next.
-        doubt: at the goal, what speaks against the estimate; empty where nothing does.
+        step: number of the image, from 0.
+        state: name of the phase or, in the last step, of the outcome.
+        status: the filter's status of this frame.
+        estimate: state ``(3,)`` of the robot; None where it is not localized.
+        sigma: standard deviation of the position along its least certain direction, metres.
+        distance: distance to the goal by the estimate, metres; None where it is not localized.
+        command: the next movement.
+        objection: during alignment, what speaks against docking by the estimate; else empty.
     """
 
     step: int
@@ -61,37 +66,37 @@ class Report:
     sigma: float
     distance: float | None
     command: Movement
-    doubt: str = ""
+    objection: str = ""
 
 
 Listener = Callable[[Report], None]
 
-# After so many images running that the belief cannot explain, it is given up for a new search.
+# After more consecutive images than this with the filter's status "lost", localization starts anew.
 LARGEST_LOST = 2
-# Fixes are aligned with the photos from this far beyond the staging pose on, metres.
+# Estimates are aligned with the photos from this far beyond the staging pose on, metres.
 ALIGNED_BEYOND_STAGING = 0.3
 
 
 @dataclass(frozen=True)
 class Equipment:
-    """What a docking works with.
+    """All parts of the docking loop.
 
     Attributes:
-        robot: checked.
-        localizer: of the robot's camera in the scene.
-        searching: makes a new one that knows nothing, where the first was lost for good.
-        alignment: makes its estimates finer.
-        pilot: with goal and bounds.
-        settings: of the docking.
+        robot: the robot, checked.
+        localizer: localizes the robot's camera in the scene.
+        new_localizer: makes a localizer that starts anywhere, for a robot that was lost for good.
+        alignment: aligns the localizer's estimates at full resolution.
+        state_machine: decides on movements; holds goal and safety bounds.
+        settings: the docking's settings, with the staging distance that was chosen in the end.
         mask: ``(height, width)``, True where the robot's images are used; None: everywhere.
-        notes: what a person should know before.
+        notes: lines that a user should know before docking begins.
     """
 
     robot: CheckedRobot
     localizer: Localizer
-    searching: Callable[[], Localizer]
+    new_localizer: Callable[[], Localizer]
     alignment: FineAlignment
-    pilot: Pilot
+    state_machine: DockingStateMachine
     settings: DockSettings
     mask: BoolArray | None = None
     notes: tuple[str, ...] = ()
@@ -106,15 +111,15 @@ def equipment_of(
     rng: np.random.Generator,
     mask: BoolArray | None = None,
 ) -> Equipment:
-    """Makes localizer and pilot for a robot in a scene.
+    """Makes the parts of the docking loop for a robot in a scene.
 
     Args:
         scene: the light field.
-        robot: checked.
+        robot: the robot, checked.
         goal: ``(3,)`` x, y in metres and heading in radians.
-        settings: of the docking.
-        filter_settings: of the filter; start and area are taken from ``settings``.
-        rng: of the filter.
+        settings: the docking's settings.
+        filter_settings: the filter's settings; start and area come from ``settings`` instead.
+        rng: the filter's random numbers.
         mask: ``(height, width)``, True where images of the robot's camera are to be used; None:
             everywhere.
 
@@ -146,21 +151,20 @@ def equipment_of(
 
     intrinsics = Undistorter(robot.camera).intrinsics
     mount, width = robot.base_from_camera, chosen.fine_width
-    lookout = Lookout(renderer, model, mount, intrinsics, width, mask)
-    goal_note = lookout.check_goal(goal)
-    settings, staging_note = lookout.staged(goal, settings)
+    visibility = VisibilityCheck(renderer, model, mount, intrinsics, width, mask)
+    goal_note = visibility.check_goal(goal)
+    settings, staging_note = visibility.visible_staging(goal, settings)
     explorer = Explorer(renderer, robot.base_from_camera, intrinsics, safety)
     reach = settings.staging_distance + ALIGNED_BEYOND_STAGING
     alignment = FineAlignment(
         scene, robot.camera, robot.base_from_camera, chosen, goal, reach, mask
     )
-    pilot = Pilot(goal, settings, safety, explorer)
     return Equipment(
         robot,
         localizer_of(settings.start),
         lambda: localizer_of(None),
         alignment,
-        pilot,
+        DockingStateMachine(goal, settings, safety, explorer),
         settings,
         mask,
         tuple(note for note in (goal_note, staging_note) if note),
@@ -171,29 +175,29 @@ def dock(equipment: Equipment, listener: Listener) -> Docking:
     """Docks a robot.
 
     Args:
-        equipment: robot, localizer, pilot.
-        listener: told of every step.
+        equipment: the parts of the loop.
+        listener: is called with a report of every step.
 
     Returns:
-        What happened and how it ended; also after Ctrl-C and when the robot fails.
+        All steps and the outcome, also after Ctrl-C and when the robot fails.
     """
     loop = _Loop(equipment, listener)
     try:
         outcome = loop.run()
     except KeyboardInterrupt:
-        outcome = Outcome(Ending.INTERRUPTED, "interrupted from the keyboard")
+        outcome = Outcome(OutcomeKind.INTERRUPTED, "interrupted from the keyboard")
     except RobotError as error:
-        outcome = Outcome(Ending.ROBOT_FAILED, str(error))
+        outcome = Outcome(OutcomeKind.ROBOT_FAILED, str(error))
     finally:
-        # Before anything else, an error of the filter included.
+        # Before anything else, whatever was raised.
         failure = _stopped(equipment.robot)
-    if failure is not None and outcome.ending is not Ending.ROBOT_FAILED:
-        outcome = Outcome(Ending.ROBOT_FAILED, f"{failure} (after: {outcome.reason})")
+    if failure is not None and outcome.kind is not OutcomeKind.ROBOT_FAILED:
+        outcome = Outcome(OutcomeKind.ROBOT_FAILED, f"{failure} (after: {outcome.reason})")
     return loop.finished(outcome)
 
 
 def _stopped(robot: CheckedRobot) -> str | None:
-    """Stops the robot; what went wrong, if anything did."""
+    """Stops the robot; returns the error message if that fails."""
     try:
         robot.stop()
     except LfnavError as error:
@@ -202,68 +206,68 @@ def _stopped(robot: CheckedRobot) -> str | None:
 
 
 class _Loop:
-    """The state of a docking while it goes on."""
+    """What changes while docking goes on."""
 
     def __init__(self, equipment: Equipment, listener: Listener) -> None:
         self._robot = equipment.robot
         self._localizer = equipment.localizer
-        self._searching = equipment.searching
+        self._new_localizer = equipment.new_localizer
         self._lost_images = 0
         self._alignment = equipment.alignment
-        self._pilot = equipment.pilot
+        self._state_machine = equipment.state_machine
         self._settings = equipment.settings
         self._mask = equipment.mask
         self._listener = listener
         self._entries: list[Entry] = []
-        self._memory = Memory()
-        self._rivals = Rivals()
+        self._state = DockingState()
+        self._competing_poses = CompetingPoses()
         self._map_covariance = map_covariance(self._localizer.settings)
         self._smoother = Smoother()
-        self._doubt = Doubt()
+        self._gate = ConsistencyGate()
         self._began = time.monotonic()
         self._filter_seconds = 0.0
 
     def run(self) -> Outcome:
         """Goes on until there is an outcome."""
         command, measured = STANDSTILL, STANDSTILL
-        before: Moment | None = None
+        before: Snapshot | None = None
         while True:
             spent = self._robot.seconds
             image = self._robot.take_image()
             true_state = self._robot.true_state()
             frame = self._localized(image, measured, spent)
-            frame, seen, fix = self._fixed(frame, image, measured)
-            # What is held against odometry must not have been made with it.
-            now = moment_of(image, seen, self._mask)
-            still = before is not None and stood_still(command, measured, before, now)
-            if before is not None and self._doubt(
-                not still and contradicts(measured, before.fix, seen)
+            frame, own, estimate = self._estimated(frame, image, measured)
+            # Odometry has no part in the image's own estimate, so that the two can be compared.
+            now = snapshot_of(image, own, self._mask)
+            stalled = before is not None and is_stalled(command, measured, before, now)
+            if before is not None and self._gate(
+                not stalled and violates_odometry(measured, before.estimate, own)
             ):
-                self._localizer, self._lost_images = self._searching(), 0
-                self._memory = replace(self._memory, anchor=None, wait=None)
-                fix = replace(fix, is_sure=False)
-                now = replace(now, fix=replace(seen, is_sure=False))
-            decision = self._pilot.decide(self._memory, fix, still, measured)
+                self._localizer, self._lost_images = self._new_localizer(), 0
+                self._state = replace(self._state, last_known=None, wait=None)
+                estimate = replace(estimate, is_localized=False)
+                now = replace(now, estimate=replace(own, is_localized=False))
+            decision = self._state_machine.decide(self._state, estimate, stalled, measured)
             outcome = decision.outcome or self._exhausted()
-            state = Phase.FINISHED if outcome is not None else decision.memory.phase
-            self._memory = replace(decision.memory, phase=state)
+            phase = Phase.FINISHED if outcome is not None else decision.state.phase
+            self._state = replace(decision.state, phase=phase)
             command = STANDSTILL if outcome is not None else decision.movement
-            word = state.value if outcome is None else outcome.ending.word
+            word = phase.value if outcome is None else outcome.kind.word
             entry = Entry(frame, image, word, command, STANDSTILL, true_state)
             self._entries.append(entry)
-            self._tell(frame, fix, word, command)
+            self._tell(frame, estimate, word, command)
             if outcome is not None:
                 return outcome
-            if state is Phase.WAITING and command == STANDSTILL and not self._robot.is_simulated:
-                time.sleep(self._settings.patience / LOOKS)
+            if phase is Phase.WAITING and command == STANDSTILL and not self._robot.is_simulated:
+                time.sleep(self._settings.patience / WAITING_IMAGES)
             measured = self._robot.move(command)
             self._entries[-1] = replace(entry, measured=measured)
             before = now
 
     def finished(self, outcome: Outcome) -> Docking:
-        """The docking as it ended."""
-        if self._entries and self._entries[-1].state != outcome.ending.word:
-            self._entries[-1] = replace(self._entries[-1], state=outcome.ending.word)
+        """All that was recorded, with the outcome."""
+        if self._entries and self._entries[-1].state != outcome.kind.word:
+            self._entries[-1] = replace(self._entries[-1], state=outcome.kind.word)
         seconds = {
             "total": time.monotonic() - self._began,
             "robot": self._robot.seconds,
@@ -272,22 +276,29 @@ class _Loop:
         return Docking(
             entries=tuple(self._entries),
             outcome=outcome,
-            attempts=self._memory.attempts,
-            goal=self._pilot.goal,
-            staging=self._pilot.staging,
+            attempts=self._state.attempts,
+            goal=self._state_machine.goal,
+            staging=self._state_machine.staging,
             seconds=seconds,
         )
 
     def _localized(self, image: ImageArray, measured: Movement, spent: float) -> FrameRecord:
+        """The filter's frame of an image, with the robot's time for it.
+
+        Args:
+            image: ``(H, W, 3)`` RGB.
+            measured: the last movement by odometry.
+            spent: the robot's time (seconds) before it took the image.
+        """
         number = len(self._entries)
         elapsed = time.monotonic() - self._began
         # A simulated robot has no clock: the same seed gives the same run.
         timestamp = float(number) if self._robot.is_simulated else elapsed
         start = time.monotonic()
-        # While the view is covered the belief is carried on: the robot knows where it is.
-        is_given_up = self._memory.wait is None and not self._memory.is_covered
-        if self._lost_images > LARGEST_LOST and is_given_up:
-            self._localizer, self._lost_images = self._searching(), 0
+        # While the view is covered the belief is kept: odometry carries it on.
+        is_abandoned = self._state.wait is None and not self._state.is_covered
+        if self._lost_images > LARGEST_LOST and is_abandoned:
+            self._localizer, self._lost_images = self._new_localizer(), 0
         frame = self._localizer.step(
             image, measured.vector() if number else None, timestamp, f"step {number:04d}"
         )
@@ -297,43 +308,62 @@ class _Loop:
         took = self._robot.seconds - spent
         return replace(frame, seconds={**frame.seconds, "robot": took})
 
-    def _fixed(
+    def _estimated(
         self, frame: FrameRecord, image: ImageArray, measured: Movement
-    ) -> tuple[FrameRecord, Fix, Fix]:
-        """The frame with the estimate ``docking``; the image's own fix; the one to act on."""
+    ) -> tuple[FrameRecord, PoseEstimate, PoseEstimate]:
+        """Aligns and smooths a frame's estimate.
+
+        Args:
+            frame: by the filter.
+            image: ``(H, W, 3)`` RGB.
+            measured: the last movement by odometry.
+
+        Returns:
+            The frame with the estimate ``docking`` added, the estimate by this image alone, and the
+            estimate to act on.
+        """
         start = time.monotonic()
-        own = fix_of(frame)
-        candidates = self._alignment(own, image, self._rivals.expected(measured))
-        seen = aligned_fix(own, self._rivals(candidates, measured), self._map_covariance)
-        fix = confirmed(seen, self._smoother(seen, measured))
+        by_filter = pose_estimate_of(frame)
+        expected = self._competing_poses.expected(measured)
+        candidates = self._alignment(by_filter, image, expected)
+        selected = self._competing_poses(candidates, measured)
+        own = gated_estimate(by_filter, selected, self._map_covariance)
+        estimate = gated_by_image(own, self._smoother(own, measured))
         took = time.monotonic() - start
         self._filter_seconds += took
         estimates = dict(frame.estimates)
-        if fix.is_sure:
-            estimates["docking"] = fix.state
+        if estimate.is_localized:
+            estimates["docking"] = estimate.state
         seconds = {**frame.seconds, "alignment": took}
-        return replace(frame, estimates=estimates, seconds=seconds), seen, fix
+        return replace(frame, estimates=estimates, seconds=seconds), own, estimate
 
     def _exhausted(self) -> Outcome | None:
+        """The outcome where steps or time are used up."""
         settings = self._settings
         if len(self._entries) >= settings.max_steps:
-            return Outcome(Ending.TIMED_OUT, f"{settings.max_steps} steps were not enough")
+            return Outcome(OutcomeKind.TIMED_OUT, f"{settings.max_steps} steps were not enough")
         elapsed = time.monotonic() - self._began
         if elapsed > settings.max_seconds:
-            return Outcome(Ending.TIMED_OUT, f"{settings.max_seconds:g} seconds were not enough")
+            return Outcome(
+                OutcomeKind.TIMED_OUT, f"{settings.max_seconds:g} seconds were not enough"
+            )
         return None
 
-    def _tell(self, frame: FrameRecord, fix: Fix, state: str, command: Movement) -> None:
-        known = fix.state if fix.is_sure else None
+    def _tell(
+        self, frame: FrameRecord, estimate: PoseEstimate, state: str, command: Movement
+    ) -> None:
+        """Reports a step to the listener."""
+        known = estimate.state if estimate.is_localized else None
+        goal = self._state_machine.goal
         self._listener(
             Report(
                 step=len(self._entries) - 1,
                 state=state,
                 status=frame.status,
                 estimate=known,
-                sigma=position_sigma(fix.covariance),
-                distance=None if known is None else distance_between(known, self._pilot.goal),
+                sigma=position_sigma(estimate.covariance),
+                distance=None if known is None else distance_between(known, goal),
                 command=command,
-                doubt=fix.what_speaks_against if state == Phase.ALIGNMENT.value else "",
+                objection=estimate.objection if state == Phase.ALIGNMENT.value else "",
             )
         )

@@ -1,4 +1,4 @@
-"""What happened in a docking so far, step by step, and the run that is made of it."""
+"""The log of docking, step by step, and the run file's content made of it."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -7,10 +7,10 @@ import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.dataset.images import encode_png
-from pipelines.dock.outcomes import Outcome
 from pipelines.dock.planar_motion import moved
 from pipelines.dock.robot import STANDSTILL, CheckedRobot, Movement
 from pipelines.dock.settings import DockSettings
+from pipelines.dock.states import Outcome
 from pipelines.localize.docking_record import DockingRecord
 from pipelines.localize.run import FrameRecord, Run
 from pipelines.localize.settings import LocalizerSettings
@@ -18,15 +18,15 @@ from pipelines.localize.settings import LocalizerSettings
 
 @dataclass(frozen=True)
 class Entry:
-    """One image and what followed.
+    """One image and the movement after it.
 
     Attributes:
-        frame: the belief after the image.
-        image: ``(H, W, 3)``.
-        state: name of the state of the docking.
-        command: the movement commanded then.
-        measured: the movement as odometry measured it.
-        true_state: ``(3,)`` where the robot really was when it took the image, or None.
+        frame: the filter's belief after the image.
+        image: ``(H, W, 3)`` RGB.
+        state: name of the phase or, in the last entry, of the outcome.
+        command: the movement commanded after the image.
+        measured: that movement by odometry.
+        true_state: ``(3,)`` true pose of a simulated robot at the image; None for a real robot.
     """
 
     frame: FrameRecord
@@ -39,13 +39,14 @@ class Entry:
 
 @dataclass(frozen=True)
 class Origin:
-    """What the run says about where it comes from.
+    """Where a run comes from.
 
     Attributes:
-        scene_identifier, scene_path: of the scene model.
-        robot: as it was named.
-        seed: of the random numbers.
-        provenance: plain JSON types.
+        scene_identifier: identifier of the scene model.
+        scene_path: path of the scene model, relative to the run file.
+        robot: name of the robot as the user gave it.
+        seed: seed of all random numbers.
+        provenance: versions, options and hashes of the inputs, plain JSON types.
     """
 
     scene_identifier: str
@@ -60,11 +61,12 @@ class Docking:
     """A docking that has ended.
 
     Attributes:
-        entries: what happened, in order of time.
-        outcome: how it ended.
+        entries: one for each image, in order of time.
+        outcome: how docking ended.
         attempts: times that the robot left the staging pose.
-        goal, staging: ``(3,)``.
-        seconds: wall time altogether, and of it in the robot and in the filter.
+        goal: ``(3,)`` x and y in metres, heading in radians.
+        staging: ``(3,)`` pose from which the approach begins.
+        seconds: wall time: ``total``, and of it ``robot`` and ``filter``.
     """
 
     entries: tuple[Entry, ...]
@@ -82,7 +84,15 @@ def run_of(
     settings: DockSettings,
     origin: Origin,
 ) -> Run | None:
-    """The run of a docking; None where not a single image was taken."""
+    """The run file's content of a docking; None where not a single image was taken.
+
+    Args:
+        docking: the docking.
+        robot: the robot that was docked.
+        filter_settings: the filter's settings.
+        settings: the docking's settings.
+        origin: where the run comes from.
+    """
     entries = docking.entries
     if not entries:
         return None
@@ -106,8 +116,8 @@ def run_of(
         docking=DockingRecord(
             robot=origin.robot,
             drive=settings.drive,
-            outcome=docking.outcome.ending.word,
-            exit_code=docking.outcome.ending.value,
+            outcome=docking.outcome.kind.word,
+            exit_code=docking.outcome.kind.value,
             reason=docking.outcome.reason,
             attempts=docking.attempts,
             settings=settings.to_dict(),
@@ -121,4 +131,5 @@ def run_of(
 
 
 def _stacked(movements: list[Movement]) -> FloatArray:
+    """Movements as an array ``(N, 3)``; N may be 0."""
     return np.stack([movement.vector() for movement in [*movements, STANDSTILL]])[:-1]

@@ -1,11 +1,10 @@
-"""What to do while nobody knows where the robot is: learn most, risk least.
+"""Active search while the robot is not localized: learn most, risk least.
 
-It turns on the spot, which is safe wherever it stands, and never drives towards a guess. Of the two
-directions that it has not looked at yet and can reach next, it takes the one in which the places
-where it may be look most different from each other (the disagreement of the expected views: the
-discrete form of choosing the measurement with the greatest expected information, Fox, Burgard,
-Thrun 1998, "Active Markov localization for mobile robots"). When it has looked all round, it backs
-away from what it sees, if that is safe at every place where it may be, and looks round again.
+The robot rotates on the spot, which is safe wherever it stands, and never drives towards a guess.
+Of the two nearest directions that it has not viewed yet, it takes the one in which the predicted
+views at the modes of its belief differ most. (The measurement with the greatest expected
+information, Fox, Burgard, Thrun 1998, "Active Markov localization for mobile robots", in a discrete
+form.) After a full rotation it backs away, if that is safe at every mode, and rotates again.
 """
 
 import math
@@ -21,51 +20,53 @@ from pipelines.geometry.camera import Intrinsics
 from pipelines.localize.state_space import PLANAR
 from pipelines.render.renderer import Renderer
 
-# Directions round the robot that are looked at one after the other.
+# Directions that are viewed one after the other, and the yaw from one to the next.
 DIRECTIONS = 12
-TURN = 2.0 * math.pi / DIRECTIONS
-# How far it backs away, metres.
+DIRECTION_STEP = 2.0 * math.pi / DIRECTIONS
+# Distance that the robot backs away, metres.
 BACK = 0.2
-# Places with less of the weight than this are not asked; no more than so many are.
-LEAST_SHARE, MOST_PLACES = 0.05, 6
-# Pixels across of the expected views.
+# Modes with less of the weight than this are left out; at most so many are compared.
+LEAST_SHARE, MOST_MODES = 0.05, 6
+# Predicted views are so many pixels across.
 WIDTH = 20
-# An expected view that the scene does not show is worth as much disagreement as this, grey levels.
+# A pixel that one predicted view covers and the other does not counts as this difference, grey
+# levels.
 UNCOVERED_DIFFERENCE = 20.0
-# A view that shows less of the scene than this is none to steer by.
+# A view of which the scene covers less than this share is no view to drive by.
 ENOUGH_COVERED = 0.6
 
 
 @dataclass(frozen=True)
 class Search:
-    """What was looked at in this search.
+    """Progress of a search.
 
     Attributes:
-        heading: radians turned since it began, as odometry says.
-        seen: numbers of the directions looked at, ``round(heading / TURN)`` modulo ``DIRECTIONS``.
-        steps: movements since it began.
-        direction: +1 or -1, the way it last turned.
-        hints: small turns made because something in view looked like the map.
+        heading: yaw since the search began, by odometry, radians.
+        viewed: numbers of the directions viewed, ``round(heading / DIRECTION_STEP)`` modulo
+            ``DIRECTIONS``.
+        steps: movements since the search began.
+        direction: +1 or -1, the sense of the last rotation.
+        hints: small rotations made to keep a possible match in view.
     """
 
     heading: float = 0.0
-    seen: frozenset[int] = frozenset()
+    viewed: frozenset[int] = frozenset()
     steps: int = 0
     direction: int = 1
     hints: int = 0
 
     @property
     def number(self) -> int:
-        """Of the direction that the robot looks in."""
-        return round(self.heading / TURN) % DIRECTIONS
+        """Number of the direction that the robot looks in."""
+        return round(self.heading / DIRECTION_STEP) % DIRECTIONS
 
     def after(self, measured: Movement) -> "Search":
-        """The search after a movement."""
+        """The search after a movement measured by odometry."""
         direction = 1 if measured.turn > 0.0 else -1 if measured.turn < 0.0 else self.direction
         return replace(
             self,
             heading=self.heading + measured.turn,
-            seen=self.seen | {self.number},
+            viewed=self.viewed | {self.number},
             steps=self.steps + 1,
             direction=direction,
         )
@@ -75,9 +76,9 @@ class Explorer:
     """Chooses the movements of a search.
 
     Args:
-        renderer: of the scene.
+        renderer: renders the scene's photos in colours.
         base_from_camera: ``(4, 4)`` the camera's mount.
-        intrinsics: of the camera.
+        intrinsics: of the camera, without distortion.
         safety: bounds of all movements.
     """
 
@@ -97,47 +98,47 @@ class Explorer:
     def movement(
         self, search: Search, modes: FloatArray, largest_turn: float
     ) -> tuple[Movement, Search]:
-        """The next movement, and the search as it then is.
+        """The next movement, and the progress of the search with it.
 
         Args:
-            search: so far.
-            modes: ``(K, 4)`` places where the robot may be, and their shares of the weight.
-            largest_turn: radians.
+            search: progress so far.
+            modes: ``(K, 4)`` modes of the belief: x, y, heading, and the share of the weight.
+            largest_turn: yaw of one movement at most, radians.
         """
-        looked_at = search.seen | {search.number}
-        if len(looked_at) == DIRECTIONS:
-            again = replace(search, seen=frozenset())
+        viewed = search.viewed | {search.number}
+        if len(viewed) == DIRECTIONS:
+            again = replace(search, viewed=frozenset())
             back = Movement(forward=-BACK)
             return (back, again) if self._may_back(modes) else (STANDSTILL, again)
-        options = [self._unseen(search, sign) for sign in (search.direction, -search.direction)]
-        values = [self._disagreement(modes, turn) - 1e-3 * abs(turn) for turn in options]
-        turn = options[0] if values[0] >= values[1] else options[1]
-        return Movement(turn=math.copysign(min(abs(turn), largest_turn), turn)), search
+        options = [self._unviewed(search, sign) for sign in (search.direction, -search.direction)]
+        values = [self._disagreement(modes, yaw) - 1e-3 * abs(yaw) for yaw in options]
+        yaw = options[0] if values[0] >= values[1] else options[1]
+        return Movement(turn=math.copysign(min(abs(yaw), largest_turn), yaw)), search
 
-    def sees(self, state: FloatArray) -> bool:
-        """Whether the scene fills most of what the camera sees at a state ``(3,)``."""
-        return self.shown_share(state) >= ENOUGH_COVERED
+    def sees_scene(self, state: FloatArray) -> bool:
+        """Whether the scene covers most of the camera's view at a state ``(3,)``."""
+        return self.covered_share(state) >= ENOUGH_COVERED
 
-    def shown_share(self, state: FloatArray) -> float:
-        """Share of what the camera sees at a state ``(3,)`` that the scene shows."""
+    def covered_share(self, state: FloatArray) -> float:
+        """Share of the camera's view at a state ``(3,)`` that the scene covers, 0 to 1."""
         poses = (PLANAR.poses(state) @ self._base_from_camera)[None]
         _, covered = self._renderer.render_many(poses, self._intrinsics)
         return float(covered.mean())
 
     @staticmethod
-    def _unseen(search: Search, sign: int) -> float:
-        """Radians to the nearest direction on one side that was not looked at."""
+    def _unviewed(search: Search, sign: int) -> float:
+        """Yaw (radians) to the nearest direction on one side that was not viewed."""
         for number in range(1, DIRECTIONS):
-            if (search.number + sign * number) % DIRECTIONS not in search.seen:
-                return sign * number * TURN
-        return sign * TURN
+            if (search.number + sign * number) % DIRECTIONS not in search.viewed:
+                return sign * number * DIRECTION_STEP
+        return sign * DIRECTION_STEP
 
-    def _disagreement(self, modes: FloatArray, turn: float) -> float:
-        """How different the places look after a turn, grey levels, weighted by their shares."""
-        places = modes[modes[:, 3] >= LEAST_SHARE][:MOST_PLACES]
+    def _disagreement(self, modes: FloatArray, yaw: float) -> float:
+        """Difference of the predicted views after a rotation, grey levels, weighted by shares."""
+        places = modes[modes[:, 3] >= LEAST_SHARE][:MOST_MODES]
         if len(places) < 2:
             return 0.0
-        states = PLANAR.moved(places[:, :3], np.array([0.0, 0.0, turn]))
+        states = PLANAR.moved(places[:, :3], np.array([0.0, 0.0, yaw]))
         poses = PLANAR.poses(states) @ self._base_from_camera
         images, covered = self._renderer.render_many(poses, self._intrinsics)
         total = 0.0
@@ -151,7 +152,7 @@ class Explorer:
         return total
 
     def _may_back(self, modes: FloatArray) -> bool:
-        """Whether backing away is safe wherever the robot may be."""
+        """Whether backing away is safe at every mode."""
         safety, back = self._safety, Movement(forward=-BACK)
         for place in modes[modes[:, 3] >= LEAST_SHARE]:
             state, then = place[:3], moved(place[:3], back)

@@ -1,4 +1,4 @@
-"""Where the robot is to dock: given, where a view was taken, or from where an image was."""
+"""The goal by other means than a pose: where a view was taken, or where an image was."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -9,15 +9,15 @@ from pipelines.artifacts.arrays import BoolArray, FloatArray
 from pipelines.artifacts.errors import InputError, OptionError
 from pipelines.dataset.images import decode_image, read_image_bytes
 from pipelines.dock.fine_alignment import FineAlignment
-from pipelines.dock.pose_estimate import fix_of
+from pipelines.dock.pose_estimate import pose_estimate_of
 from pipelines.geometry.camera import Camera
 from pipelines.geometry.pose import inverse, planar_state_of
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.localizer import Localizer
 from pipelines.localize.settings import LocalizerSettings
 
-# An image is searched for so many times before it counts as not found.
-LOOKS = 6
+# The filter sees the goal image this many times before the image counts as not found.
+MOST_STEPS = 6
 
 
 def goal_of_view(scene: Scene, index: int, base_from_camera: FloatArray) -> FloatArray:
@@ -25,8 +25,9 @@ def goal_of_view(scene: Scene, index: int, base_from_camera: FloatArray) -> Floa
 
     Args:
         scene: the light field.
-        index: of the view, from 0.
-        base_from_camera: ``(4, 4)`` of the robot; its camera may be mounted at another height.
+        index: number of the view, from 0.
+        base_from_camera: ``(4, 4)`` the robot camera's mount; it may be at another height than the
+            camera of the view.
 
     Raises:
         OptionError: no such view.
@@ -49,11 +50,11 @@ def goal_of_image(
 
     Args:
         scene: the light field.
-        path: of the image, taken with the robot's camera.
-        camera: the robot's.
-        base_from_camera: ``(4, 4)`` its mount.
-        settings: of the filter; the image is searched for in their area.
-        rng: of the filter.
+        path: image file, taken with the robot's camera.
+        camera: the robot's camera.
+        base_from_camera: ``(4, 4)`` the camera's mount.
+        settings: the filter's settings; the image is searched for in their area.
+        rng: the filter's random numbers.
         mask: ``(height, width)``, True where images of the camera are to be used; None: everywhere.
 
     Raises:
@@ -70,9 +71,9 @@ def goal_of_image(
     anywhere = replace(settings, start=None)
     localizer = Localizer(scene, camera, base_from_camera, anywhere, rng, mask=mask)
     alignment = FineAlignment(scene, camera, base_from_camera, settings, mask=mask)
-    for number in range(LOOKS):
-        fix = fix_of(localizer.step(image, np.zeros(3) if number else None, float(number)))
-        candidates = alignment(fix, image)
+    for number in range(MOST_STEPS):
+        frame = localizer.step(image, np.zeros(3) if number else None, float(number))
+        candidates = alignment(pose_estimate_of(frame), image)
         if candidates:
             return candidates[0].state
     raise InputError(

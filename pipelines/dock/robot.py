@@ -1,7 +1,7 @@
-"""What a robot has to do to be docked: take an image, move a little, stop.
+"""The robot protocol of docking: take an image, move, stop.
 
-A class of anybody's that has these members is a robot; nothing needs to be inherited. A complete
-one stands in ``docs/docking.md``.
+Any class with these members is a robot; nothing has to be inherited. ``docs/docking.md`` has a
+complete example.
 """
 
 import math
@@ -25,11 +25,11 @@ class Robot(Protocol):
 
     @property
     def camera(self) -> Camera:
-        """Model and calibration of its camera."""
+        """Model and intrinsics of the robot's camera."""
 
     @property
     def base_from_camera(self) -> FloatArray:
-        """``(4, 4)`` where the camera sits on the robot."""
+        """``(4, 4)`` the camera's mount."""
 
     def take_image(self) -> ImageArray:
         """A camera image, ``(height, width, 3)`` RGB, 8 bits, taken while standing still."""
@@ -40,31 +40,37 @@ class Robot(Protocol):
         Args:
             forward: metres along the robot's own x axis, as it stands before the movement.
             left: metres along its y axis; 0 for a robot that cannot drive sideways.
-            turn: radians, counter-clockwise.
+            turn: yaw change, radians, counter-clockwise.
 
         Returns:
-            The movement as odometry measured it: forward, left, turn, in the same frame.
+            The movement by odometry: forward, left and turn, in the same frame.
         """
 
     def stop(self) -> None:
-        """Brings the robot to a standstill at once; called at the end, whatever happened."""
+        """Stops the robot at once; called at the end of docking, however it ends."""
 
 
 @runtime_checkable
 class KnowsTruth(Protocol):
-    """A simulator: it knows where its robot really is. The docking itself never asks."""
+    """A simulated robot: its true pose is known, and only recorded, never used for docking."""
 
     def true_state(self) -> FloatArray:
-        """``(3,)`` x, y in metres and heading in radians."""
+        """True state ``(3,)``: x and y in metres, heading in radians."""
 
 
 class RobotError(LfnavError):
-    """The robot's driver raised an exception, or handed over what no robot should."""
+    """The robot's driver raised an exception or violated the robot protocol."""
 
 
 @dataclass(frozen=True)
 class Movement:
-    """A movement in the robot's frame before it: metres forward and left, radians of turn."""
+    """A movement in the robot's frame before it.
+
+    Attributes:
+        forward: metres along the x axis.
+        left: metres along the y axis.
+        turn: yaw change, radians, counter-clockwise.
+    """
 
     forward: float = 0.0
     left: float = 0.0
@@ -72,15 +78,15 @@ class Movement:
 
     @property
     def distance(self) -> float:
-        """Metres."""
+        """Length of the translation, metres."""
         return math.hypot(self.forward, self.left)
 
     def vector(self) -> FloatArray:
-        """``(3,)``."""
+        """``(3,)``: forward, left, turn."""
         return np.array([self.forward, self.left, self.turn])
 
     def scaled(self, share: float) -> "Movement":
-        """A share of it."""
+        """The movement with all parts multiplied by a share."""
         return Movement(share * self.forward, share * self.left, share * self.turn)
 
 
@@ -88,18 +94,24 @@ STANDSTILL = Movement()
 
 
 class CheckedRobot:
-    """A robot whose answers are looked at before they are used, and whose time is taken.
+    """A robot whose answers are validated before they are used, and whose time is measured.
 
     Args:
-        robot: anybody's.
+        robot: any object with the members of ``Robot``.
+
+    Attributes:
+        name: of the robot's class.
+        note: one line about the robot for the summary; may be empty.
+        seconds: wall time spent in the robot's methods so far.
+        camera: model and intrinsics of the robot's camera.
+        base_from_camera: ``(4, 4)`` the camera's mount.
 
     Raises:
-        RobotError: a member is missing, or camera or mount are not what they should be.
+        RobotError: a member is missing, or the camera or its mount has the wrong type or shape.
     """
 
     def __init__(self, robot: Any) -> None:
         self.name = type(robot).__name__
-        # What a robot wants to have said of itself, if anything.
         self.note = str(getattr(robot, "note", ""))
         missing = [name for name in METHODS if not callable(getattr(robot, name, None))]
         missing += [name for name in ATTRIBUTES if not hasattr(robot, name)]
@@ -120,11 +132,11 @@ class CheckedRobot:
 
     @property
     def is_simulated(self) -> bool:
-        """Whether the robot exists in a program only: its clock is then the number of the step."""
+        """Whether the robot is simulated; its clock is then the number of the step."""
         return isinstance(self._robot, KnowsTruth)
 
     def take_image(self) -> ImageArray:
-        """See ``Robot.take_image``.
+        """A camera image, ``(height, width, 3)`` RGB, 8 bits.
 
         Raises:
             RobotError: the driver raised, or the image is not of the camera's size and type.
@@ -139,7 +151,7 @@ class CheckedRobot:
         return image
 
     def move(self, movement: Movement) -> Movement:
-        """Moves; returns what odometry measured.
+        """Moves the robot; returns the movement by odometry.
 
         Raises:
             RobotError: the driver raised, or the odometry is not three finite numbers.
@@ -155,7 +167,7 @@ class CheckedRobot:
         return Movement(forward, left, turn)
 
     def stop(self) -> None:
-        """See ``Robot.stop``.
+        """Stops the robot at once.
 
         Raises:
             RobotError: the driver raised.
@@ -163,17 +175,22 @@ class CheckedRobot:
         self._ask("stop")
 
     def true_state(self) -> FloatArray | None:
-        """Where a simulated robot really is; None where nobody knows."""
+        """True state ``(3,)`` of a simulated robot; None for a real one."""
         return self._robot.true_state() if isinstance(self._robot, KnowsTruth) else None
 
     def _ask(self, method: str, *values: float) -> Any:
+        """Calls a method of the robot and measures its time.
+
+        Raises:
+            RobotError: the method raised.
+        """
         start = time.perf_counter()
         try:
             return getattr(self._robot, method)(*values)
         except LfnavError:
             raise
         except Exception as error:
-            # A driver may raise anything, and the run so far must not be lost with it.
+            # A driver may raise anything; the run so far must be saved all the same.
             raise RobotError(
                 f"robot {self.name}: {method} raised {type(error).__name__}: {error}"
             ) from error
@@ -182,6 +199,7 @@ class CheckedRobot:
 
 
 def _floats(values: Any) -> FloatArray | None:
+    """Values as an array; None where they are no numbers."""
     try:
         return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
@@ -189,6 +207,7 @@ def _floats(values: Any) -> FloatArray | None:
 
 
 def _shape_text(image: Any) -> str:
+    """Size and type of an image array, for messages."""
     if image.ndim != 3:
         return f"an array of shape {image.shape}"
     height, width, channels = image.shape

@@ -1,4 +1,4 @@
-"""Which movements are allowed: inside the area, away from the surface, whatever is not known."""
+"""Safety bounds: movements stay in the area and away from the surface, uncertainty included."""
 
 import math
 from dataclasses import dataclass
@@ -11,14 +11,14 @@ from pipelines.dock.clearance import Clearance
 from pipelines.dock.planar_motion import moved, position_sigma
 from pipelines.dock.robot import STANDSTILL, Movement
 
-# What is not known of the position counts so many standard deviations.
+# Uncertainty of the position counts with this many standard deviations.
 SIGMAS = 2.0
-# But never more than this, metres: a robot that is nowhere sure could never move again.
+# It counts with this at most, metres: a robot that is uncertain everywhere could never move again.
 LARGEST_ALLOWANCE = 0.15
-# The path of a movement is looked at in so many places, and shortened in such steps.
+# The path of a movement is checked at this many places, and shortened to these shares.
 PLACES_ON_PATH = 5
 SHARES = (1.0, 0.75, 0.5, 0.25, 0.1)
-# Shortened to less than this a movement is none, metres.
+# A movement shortened to less than this is not made, metres.
 SHORTEST = 0.01
 
 
@@ -27,9 +27,9 @@ class Safety:
     """The bounds of all movements.
 
     Attributes:
-        area: ``(4,)`` x_min, x_max, y_min, y_max, metres.
-        clearance: from the scene's surface.
-        least_distance: metres from it.
+        area: x_min, x_max, y_min, y_max that the robot must not leave, metres.
+        clearance: measures distances from the scene's surface.
+        least_distance: distance to keep from the surface, metres.
     """
 
     area: tuple[float, float, float, float]
@@ -65,19 +65,24 @@ class Safety:
         return math.hypot(max(x_min - x, 0.0, x - x_max), max(y_min - y, 0.0, y - y_max))
 
     def is_allowed(self, state: FloatArray, allowance: float = 0.0) -> bool:
-        """Whether the robot may stand at a state ``(3,)``, ``allowance`` metres left aside."""
+        """Whether the robot may stand at a state.
+
+        Args:
+            state: ``(3,)``.
+            allowance: metres to keep from the surface beyond the least distance.
+        """
         return (
             self.outside_by(state) == 0.0
             and self.clearance.distance(state) >= self.least_distance + allowance
         )
 
     def restricted(self, state: FloatArray, covariance: FloatArray, movement: Movement) -> Movement:
-        """The movement, shortened so far that it is allowed; a turn on the spot always is.
+        """A movement shortened until it is allowed; a rotation on the spot always is.
 
         Args:
-            state: ``(3,)`` where the robot is taken to be.
-            covariance: ``(3, 3)`` of that.
-            movement: what is wanted.
+            state: ``(3,)`` estimated pose of the robot.
+            covariance: ``(3, 3)`` of the estimate's error, metres and radians.
+            movement: the movement wanted.
         """
         if movement.distance == 0.0:
             return movement
@@ -91,12 +96,13 @@ class Safety:
         return STANDSTILL
 
     def _is_path_allowed(self, state: FloatArray, movement: Movement, allowance: float) -> bool:
+        """Whether a movement from a state ``(3,)`` stays in bounds, or leads back into them."""
         near = self.clearance.distance(state)
         outside = self.outside_by(state)
         for share in np.linspace(0.0, 1.0, PLACES_ON_PATH + 1)[1:]:
             place = moved(state, movement.scaled(float(share)))
             distance = self.clearance.distance(place)
-            # Where the robot is already too near or outside, it may still leave.
+            # A robot that is already too near or outside may still move away.
             if distance < self.least_distance + allowance and distance < near:
                 return False
             if self.outside_by(place) > outside:

@@ -15,11 +15,11 @@ from pipelines.dataset.mask import Mask, read_mask
 from pipelines.dock.dock import Listener, dock, equipment_of
 from pipelines.dock.docking_log import Docking, Origin, run_of
 from pipelines.dock.goals import goal_of_image, goal_of_view
-from pipelines.dock.outcomes import Ending
-from pipelines.dock.planar_motion import distance_between, turn_between
+from pipelines.dock.planar_motion import distance_between, yaw_between
 from pipelines.dock.robot import STANDSTILL, CheckedRobot
 from pipelines.dock.robots.choice import RobotOptions, robot_named
 from pipelines.dock.settings import DockSettings
+from pipelines.dock.states import OutcomeKind
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_scene
 from pipelines.localize.run import relative_scene_path, save_run
@@ -61,7 +61,7 @@ class DockSummary:
     @property
     def exit_code(self) -> int:
         """Of the command."""
-        return self.docking.outcome.ending.value
+        return self.docking.outcome.kind.value
 
     @property
     def true_error(self) -> tuple[float, float] | None:
@@ -70,7 +70,7 @@ class DockSummary:
         if not entries or entries[-1].true_state is None:
             return None
         state, goal = entries[-1].true_state, self.docking.goal
-        return distance_between(state, goal), abs(turn_between(state, goal))
+        return distance_between(state, goal), abs(yaw_between(state, goal))
 
     def table(self) -> list[tuple[str, ...]]:
         """Rows for people."""
@@ -80,7 +80,7 @@ class DockSummary:
         shares = {name: docking.seconds[name] / total for name in ("robot", "filter")}
         rest = 1.0 - sum(shares.values())
         rows: list[tuple[str, ...]] = [
-            ("outcome", docking.outcome.ending.word),
+            ("outcome", docking.outcome.kind.word),
             ("because", docking.outcome.reason),
             ("goal", _pose_text(docking.goal)),
             ("steps", f"{len(docking.entries)}, {docking.attempts} attempts"),
@@ -106,7 +106,7 @@ class DockSummary:
         return {
             "kind": "docking",
             "path": str(self.path),
-            "outcome": docking.outcome.ending.word,
+            "outcome": docking.outcome.kind.word,
             "exit_code": self.exit_code,
             "reason": docking.outcome.reason,
             "goal": {
@@ -201,7 +201,7 @@ def dock_robot(
     run = run_of(docking, robot, filter_settings, equipment.settings, origin)
     if run is not None:
         save_run(output, run, overwrite)
-    elif docking.outcome.ending is Ending.ROBOT_FAILED:
+    elif docking.outcome.kind is OutcomeKind.ROBOT_FAILED:
         # Not a single image: there is nothing that a run could hold.
         raise OptionError(f"{docking.outcome.reason}; no run was written")
     return DockSummary(output, docking, robot.note, equipment.notes)

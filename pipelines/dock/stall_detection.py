@@ -1,4 +1,8 @@
-"""Did a movement happen? Odometry and images are asked, since either alone may be deceived."""
+"""Stall and slip detection: whether a commanded movement happened, by odometry and by images.
+
+Either source alone can be deceived: slipping wheels measure motion that did not happen, and a
+repeated image hides motion that did.
+"""
 
 from dataclasses import dataclass
 
@@ -6,78 +10,89 @@ import cv2
 import numpy as np
 
 from pipelines.artifacts.arrays import BoolArray, Float32Array, ImageArray
+from pipelines.dataset.mask import used_in_small
 from pipelines.dock.planar_motion import movement_between
-from pipelines.dock.pose_estimate import Fix
+from pipelines.dock.pose_estimate import PoseEstimate
 from pipelines.dock.robot import Movement
 
 # Shorter movements are within the noise: metres and radians.
-LEAST_DISTANCE, LEAST_TURN = 0.03, 0.05
-# Less than this share of what was commanded is no movement.
-STILL_SHARE = 0.3
+LEAST_DISTANCE, LEAST_YAW = 0.03, 0.05
+# A movement of which less than this share happened counts as a stall.
+STALL_SHARE = 0.3
 # Images that correlate more than this were taken from the same place, whatever the noise.
-STILL_CORRELATION = 0.98
+SAME_PLACE_CORRELATION = 0.98
+# Images are compared at this width, pixels.
 WIDTH = 40
-# A pixel of which a mask leaves more than this share counts as used.
-FULLY_USED = 0.99
 
 
 @dataclass(frozen=True)
-class Moment:
-    """What was seen between two movements.
+class Snapshot:
+    """An image between two movements, reduced to what stall detection compares.
 
     Attributes:
-        picture: ``(N,)`` grey levels of the used pixels of the camera image at ``WIDTH`` pixels
-            across.
-        fix: where the robot was taken to be.
+        thumbnail: ``(N,)`` grey levels of the used pixels, the image being ``WIDTH`` pixels across.
+        estimate: where the robot was by this image.
     """
 
-    picture: Float32Array
-    fix: Fix
+    thumbnail: Float32Array
+    estimate: PoseEstimate
 
 
-def moment_of(image: ImageArray, fix: Fix, mask: BoolArray | None = None) -> Moment:
-    """The moment of a camera image ``(H, W, 3)``, used where ``mask`` ``(H, W)`` is True."""
+def snapshot_of(
+    image: ImageArray, estimate: PoseEstimate, mask: BoolArray | None = None
+) -> Snapshot:
+    """The snapshot of a camera image.
+
+    Args:
+        image: ``(H, W, 3)`` RGB.
+        estimate: where the robot was by this image.
+        mask: ``(H, W)``, True where the image is used; None: everywhere. What is fixed to the
+            camera looks still while the robot moves.
+    """
     height = max(1, round(image.shape[0] * WIDTH / image.shape[1]))
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     small = cv2.resize(grey, (WIDTH, height), interpolation=cv2.INTER_AREA)
-    used = np.ones(small.shape, dtype=np.bool_)
-    if mask is not None:
-        # What is fixed to the camera looks still while the robot moves.
-        shares = cv2.resize(mask.astype(np.float32), (WIDTH, height), interpolation=cv2.INTER_AREA)
-        used = np.asarray(shares > FULLY_USED, dtype=np.bool_)
-    return Moment(np.asarray(small[used], dtype=np.float32), fix)
+    used = used_in_small(mask, WIDTH, height)
+    return Snapshot(np.asarray(small[used], dtype=np.float32), estimate)
 
 
-def stood_still(commanded: Movement, measured: Movement, before: Moment, after: Moment) -> bool:
-    """Whether odometry and images agree that a movement did not happen.
+def is_stalled(commanded: Movement, measured: Movement, before: Snapshot, after: Snapshot) -> bool:
+    """Whether odometry and images agree that a commanded movement did not happen.
 
-    Also true where the wheels turned and the images say, by what they show and by where they place
-    the robot, that they turned in vain, or where the image is the one before: the wheels slip, or
-    the camera hangs. False where the movement was too small to tell.
+    It is also a stall when the wheels turned but the images, by content and by estimated pose, show
+    no motion (slip), and when the image is the previous one (the camera hangs). It is none when the
+    movement was too small to tell.
+
+    Args:
+        commanded: the movement that the robot was told to make.
+        measured: the same movement by odometry.
+        before: of the image before the movement.
+        after: of the image after it.
     """
-    if commanded.distance < LEAST_DISTANCE and abs(commanded.turn) < LEAST_TURN:
+    if commanded.distance < LEAST_DISTANCE and abs(commanded.turn) < LEAST_YAW:
         return False
-    if after.fix.is_stale:
+    if after.estimate.is_stale:
         return True
-    odometry_still = _share(measured, commanded) < STILL_SHARE
-    if before.fix.is_blind or after.fix.is_blind:
-        return odometry_still
-    images_still = _correlation(before.picture, after.picture) > STILL_CORRELATION
-    if not (before.fix.is_sure and after.fix.is_sure):
-        return odometry_still and images_still
-    placed = movement_between(before.fix.state, after.fix.state)
-    placed_still = _share(placed, commanded) < STILL_SHARE
-    return placed_still and (odometry_still or images_still)
+    odometry_stalled = _share_done(measured, commanded) < STALL_SHARE
+    if before.estimate.is_blind or after.estimate.is_blind:
+        return odometry_stalled
+    images_stalled = _correlation(before.thumbnail, after.thumbnail) > SAME_PLACE_CORRELATION
+    if not (before.estimate.is_localized and after.estimate.is_localized):
+        return odometry_stalled and images_stalled
+    estimated = movement_between(before.estimate.state, after.estimate.state)
+    estimates_stalled = _share_done(estimated, commanded) < STALL_SHARE
+    return estimates_stalled and (odometry_stalled or images_stalled)
 
 
-def _share(happened: Movement, commanded: Movement) -> float:
-    """How much of a movement happened: 0 to 1 and beyond."""
-    wanted = commanded.vector() / np.array([LEAST_DISTANCE, LEAST_DISTANCE, LEAST_TURN])
-    got = happened.vector() / np.array([LEAST_DISTANCE, LEAST_DISTANCE, LEAST_TURN])
+def _share_done(done: Movement, commanded: Movement) -> float:
+    """Share of a commanded movement that was done; 1 where all of it was."""
+    scale = np.array([LEAST_DISTANCE, LEAST_DISTANCE, LEAST_YAW])
+    wanted, got = commanded.vector() / scale, done.vector() / scale
     return float(wanted @ got / (wanted @ wanted))
 
 
 def _correlation(first: Float32Array, second: Float32Array) -> float:
+    """Correlation of two thumbnails ``(N,)``; 1 where one of them is constant."""
     first, second = first - first.mean(), second - second.mean()
     scale = float(np.sqrt(np.sum(first**2) * np.sum(second**2)))
     return float(np.sum(first * second)) / scale if scale > 0.0 else 1.0

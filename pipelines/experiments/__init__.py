@@ -1,1 +1,1 @@
-"""Studies of the methods: questions answered by measuring on data sets, with table and figure."""
+"""Studies: questions about the methods, answered by measurements on data sets."""

@@ -1,4 +1,4 @@
-"""Tables, lists and seeds in the TOML files of sweeps and studies, checked when they are read."""
+"""Checked reading of tables, lists and seeds in the TOML files of sweeps and studies."""
 
 import re
 from collections import Counter
@@ -34,10 +34,10 @@ def _is_seed(text: str) -> bool:
 
 
 def named_seeds(text: str) -> tuple[int, ...]:
-    """Seeds that somebody names on the command line, see ``parse_seeds``.
+    """Seeds from the command line: ``"0-19"`` or ``"3,4,8"``, each once.
 
     Raises:
-        OptionError: they are none.
+        OptionError: the text is neither.
     """
     try:
         return tuple(dict.fromkeys(parse_seeds(text)))
@@ -63,20 +63,26 @@ def read_seeds(path: Path, place: str, table: Mapping[str, Any]) -> tuple[int, .
         seeds = checked_list(path, f"{place} seeds", value)
         if not all(type(seed) is int and 0 <= seed < 2**63 for seed in seeds):
             raise InputError(path, f"{place} seeds are not whole numbers from 0 on")
-    refuse_twice(path, f"{place} seeds", seeds)
+    refuse_duplicates(path, f"{place} seeds", seeds)
     return tuple(seeds)
 
 
 def absolute_path(folder: Path, name: str) -> Path:
-    """A path of a file in that folder."""
+    """The absolute path of a name relative to a folder."""
     return (folder / name).absolute()
 
 
 def checked_table(path: Path, value: Any, place: str, known: tuple[str, ...]) -> Mapping[str, Any]:
-    """A table with known keys.
+    """A TOML table, checked.
+
+    Args:
+        path: the file, for the error.
+        value: of the table.
+        place: its place in the file, for the error.
+        known: keys that it may have.
 
     Raises:
-        InputError: it is none, or has others.
+        InputError: the value is no table, or the table has unknown keys.
     """
     if not isinstance(value, dict):
         raise InputError(path, f"{place} is {type_name(value)}, expected a table")
@@ -88,10 +94,15 @@ def checked_table(path: Path, value: Any, place: str, known: tuple[str, ...]) ->
 
 
 def checked_list(path: Path, place: str, value: Any) -> list[Any]:
-    """A list that holds something; a single value stands for a list of one.
+    """A list that is not empty; a single value stands for a list of one.
+
+    Args:
+        path: the file, for the error.
+        place: its place in the file, for the error.
+        value: of the list.
 
     Raises:
-        InputError: it is empty.
+        InputError: the list is empty.
     """
     values = value if isinstance(value, list) else [value]
     if not values:
@@ -99,11 +110,16 @@ def checked_list(path: Path, place: str, value: Any) -> list[Any]:
     return values
 
 
-def refuse_twice(path: Path, place: str, values: list[Any]) -> None:
-    """Refuses a value that is in a list more than once.
+def refuse_duplicates(path: Path, place: str, values: list[Any]) -> None:
+    """Refuses duplicates in a list.
+
+    Args:
+        path: the file, for the error.
+        place: the list's place in the file, for the error.
+        values: of the list.
 
     Raises:
-        InputError: one is.
+        InputError: a value is in the list more than once.
     """
     value, count = Counter(values).most_common(1)[0]
     if count > 1:

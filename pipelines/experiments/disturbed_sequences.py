@@ -1,13 +1,13 @@
-"""Drives on which something goes wrong, made of a recorded drive that went well.
+"""Disturbed sequences, made from a recorded one.
 
-- ``kidnapped``: after ten frames the robot is carried to the end of the drive, and from there comes
-  back for five frames. Odometry knows nothing of the jump: no wheel turned meanwhile.
+- ``kidnapped``: after ten frames the robot is carried to the end of the sequence and drives back
+  from there for five frames. Odometry does not measure the jump.
 - ``dark``: five images in the middle are black.
-- ``covered-middle``, ``covered-right``: a third of every image has one colour, as if tape stuck on
-  the lens: a box in the middle, or everything on the right.
+- ``covered-middle``, ``covered-right``: a third of every image has one colour, as if tape stuck to
+  the lens: a box in the middle, or the right side.
 
-Each is a data set of its own, with the truth of its own frames and with every odometry file of the
-recorded drive; the same settings can be tried on all of them with ``lfnav sweep``.
+Each is a data set of its own, with the true poses of its frames and with every odometry file of the
+recorded sequence; ``lfnav sweep`` runs the same settings on all of them.
 """
 
 import json
@@ -37,12 +37,11 @@ from pipelines.dataset.mask import MASK_FILE
 from pipelines.geometry.pose import inverse
 from pipelines.geometry.trajectory import Trajectory, format_tum, read_tum
 
-RECORD = "disturbed.json"
 ODOMETRY_FILES = "odometry*.txt"
 FRAMES_BEFORE, FRAMES_AFTER = 10, 5
 BLACK_FRAMES = 5
 COVERED_SHARE = 1.0 / 3.0
-# RGB of what covers the lens.
+# RGB colour of the covered part of the image.
 COVER = (90, 70, 50)
 
 Alteration = Callable[[int, ImageArray], ImageArray | None]
@@ -50,17 +49,17 @@ Alteration = Callable[[int, ImageArray], ImageArray | None]
 
 @dataclass(frozen=True)
 class Disturbance:
-    """What is changed of a drive.
+    """How a disturbed sequence differs from the recorded one.
 
     Attributes:
-        name: of the folder.
-        meaning: in words.
-        order: ``M`` frames of the recorded drive, in the order in which they come.
-        jumps: numbers of the frames, in the new order, before which the robot was carried away.
-        altered: the image in the place of a frame's, given its number in the new order and the
-            recorded one; None: the recorded one stays.
-        shown: frames of the recorded drive whose images are shown, where these are not ``order``.
-        has_truth: whether the images show the place at all; else the data set gets no true poses.
+        name: name of its folder.
+        meaning: what is disturbed, for people.
+        order: numbers of the recorded frames, ``M`` of them, in their new order.
+        jumps: numbers of the frames, in the new order, before which the robot is carried away.
+        altered: from a frame's number in the new order and its recorded image to the image that
+            replaces it; None: the recorded image stays.
+        shown: numbers of the recorded frames whose images are used; None: those of ``order``.
+        has_truth: whether the images show the place; if not, the data set gets no true poses.
     """
 
     name: str
@@ -72,8 +71,27 @@ class Disturbance:
     has_truth: bool = True
 
 
+@dataclass(frozen=True)
+class DisturbanceSet:
+    """Disturbances whose sequences are written into one folder.
+
+    Attributes:
+        record: file in the folder that describes the sequences, and by which it is recognized.
+        fewest_frames: number of frames that a recorded sequence needs.
+        of: from a sequence's number of frames to the disturbances.
+    """
+
+    record: str
+    fewest_frames: int
+    of: Callable[[int], Sequence[Disturbance]]
+
+
 def disturbances(frames: int) -> tuple[Disturbance, ...]:
-    """All of them for a drive of so many frames, at least ``FRAMES_BEFORE + FRAMES_AFTER``."""
+    """The disturbances of a sequence.
+
+    Args:
+        frames: number of its frames, at least ``FRAMES_BEFORE + FRAMES_AFTER``.
+    """
     forwards = tuple(range(frames))
     backwards = tuple(range(frames - 1, frames - 1 - FRAMES_AFTER, -1))
     first_black = (frames - BLACK_FRAMES) // 2
@@ -111,8 +129,11 @@ def disturbances(frames: int) -> tuple[Disturbance, ...]:
     )
 
 
+DISTURBED = DisturbanceSet("disturbed.json", FRAMES_BEFORE + FRAMES_AFTER, disturbances)
+
+
 def covered_middle(image: ImageArray) -> ImageArray:
-    """The image ``(H, W, 3)`` with a box of its own shape in the middle covered."""
+    """The image ``(H, W, 3)`` with a box of the same aspect ratio covered in the middle."""
     height, width = image.shape[:2]
     side = COVERED_SHARE**0.5
     top, left = round(0.5 * (1.0 - side) * height), round(0.5 * (1.0 - side) * width)
@@ -131,12 +152,12 @@ def covered_right(image: ImageArray) -> ImageArray:
 def odometry_with_jumps(
     world_from_body: FloatArray, order: Sequence[int], jumps: frozenset[int]
 ) -> FloatArray:
-    """What odometry says when a drive's frames come in another order, ``(M, 4, 4)``.
+    """Odometry of a sequence whose frames come in another order, ``(M, 4, 4)``.
 
     Args:
-        world_from_body: ``(N, 4, 4)`` what it said of the recorded frames.
-        order: ``M`` of these frames.
-        jumps: numbers in the new order before which it measured no motion.
+        world_from_body: ``(N, 4, 4)`` odometry of the recorded frames.
+        order: numbers of the recorded frames, ``M`` of them, in their new order.
+        jumps: numbers of the frames, in the new order, before which it measures no motion.
     """
     poses = [world_from_body[order[0]]]
     for number, (before, after) in enumerate(pairwise(order), start=1):
@@ -145,80 +166,47 @@ def odometry_with_jumps(
     return np.stack(poses)
 
 
-def write_disturbed_drives(
-    drive: Path, output: Path, *, overwrite: bool, progress: Progress
+def write_sequences(
+    sequence: Path, output: Path, disturbed: DisturbanceSet, *, overwrite: bool, progress: Progress
 ) -> tuple[Path, ...]:
-    """Writes a data set for each of ``disturbances`` below a folder.
+    """Writes a data set for each disturbance of a set into a folder.
 
     Args:
-        drive: the recorded drive, with ground truth, camera and odometry.
-        output: the folder; appears whole or not at all.
-        overwrite: whether one of an earlier time may be replaced.
-        progress: told how far the work is.
+        sequence: folder of the recorded sequence, with ground truth, camera and odometry.
+        output: folder to write; it appears whole or not at all.
+        disturbed: the disturbances.
+        overwrite: whether a folder with the set's record may be replaced.
+        progress: wraps the loop to report progress.
 
     Returns:
         The data sets' folders.
 
     Raises:
-        InputError: the drive cannot be used, lacks something or is too short, or the output cannot
-            be written.
+        InputError: the sequence cannot be used, lacks something or is too short, or the output
+            cannot be written.
     """
-    return write_drives(
-        drive,
-        output,
-        disturbances,
-        RECORD,
-        fewest_frames=FRAMES_BEFORE + FRAMES_AFTER,
-        overwrite=overwrite,
-        progress=progress,
-    )
-
-
-def write_drives(
-    drive: Path,
-    output: Path,
-    kinds_of: Callable[[int], Sequence[Disturbance]],
-    record_name: str,
-    *,
-    fewest_frames: int,
-    overwrite: bool,
-    progress: Progress,
-) -> tuple[Path, ...]:
-    """Writes a data set for each of some disturbances below a folder.
-
-    Args:
-        drive: the recorded drive, with ground truth, camera and odometry.
-        output: the folder; appears whole or not at all.
-        kinds_of: the disturbances of a drive of so many frames.
-        record_name: file in the folder that says what they are; also tells that it is such a one.
-        fewest_frames: that a drive has to have.
-        overwrite: whether one of an earlier time may be replaced.
-        progress: told how far the work is.
-
-    Returns:
-        The data sets' folders.
-
-    Raises:
-        InputError: the drive cannot be used, lacks something or is too short, or the output cannot
-            be written.
-    """
-    dataset = load_dataset(drive)
+    dataset = load_dataset(sequence)
     if dataset.groundtruth is None:
-        raise InputError(drive / GROUNDTRUTH_FILE, "is missing: nothing could be judged without it")
-    if len(dataset) < fewest_frames:
-        reason = f"has {len(dataset)} frames, fewer than {fewest_frames}"
-        raise InputError(drive, reason, "give a longer drive")
-    truth = poses_at_images(dataset, dataset.groundtruth, drive / GROUNDTRUTH_FILE)
+        raise InputError(
+            sequence / GROUNDTRUTH_FILE, "is missing: errors cannot be measured without it"
+        )
+    if len(dataset) < disturbed.fewest_frames:
+        reason = f"has {len(dataset)} frames, fewer than {disturbed.fewest_frames}"
+        raise InputError(sequence, reason, "give a longer sequence")
+    truth = poses_at_images(dataset, dataset.groundtruth, sequence / GROUNDTRUTH_FILE)
     odometry = {
         path.name: poses_at_images(dataset, read_tum(path), path)
-        for path in sorted(drive.glob(ODOMETRY_FILES))
+        for path in sorted(sequence.glob(ODOMETRY_FILES))
     }
-    kinds = kinds_of(len(dataset))
-    with atomic_folder(output, overwrite, record_name) as folder:
-        for kind in progress(kinds, "drives", len(kinds)):
+    kinds = disturbed.of(len(dataset))
+    with atomic_folder(output, overwrite, disturbed.record) as folder:
+        for kind in progress(kinds, "sequences", len(kinds)):
             _write(folder / kind.name, dataset, kind, truth, odometry)
-        record = {"source": drive.name, "drives": {kind.name: kind.meaning for kind in kinds}}
-        (folder / record_name).write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+        # The key is that of files which older versions wrote.
+        record = {"source": sequence.name, "drives": {kind.name: kind.meaning for kind in kinds}}
+        (folder / disturbed.record).write_text(
+            json.dumps(record, indent=2) + "\n", encoding="utf-8"
+        )
     return tuple(output / kind.name for kind in kinds)
 
 
@@ -229,7 +217,7 @@ def _write(
     truth: FloatArray,
     odometry: dict[str, FloatArray],
 ) -> None:
-    """Writes one data set; its frames come at the times of the recorded drive's first ones."""
+    """Writes one data set; its frames have the timestamps of the first recorded ones."""
     (folder / "rgb").mkdir(parents=True)
     times = dataset.timestamps[: len(kind.order)]
     names = []
@@ -237,7 +225,7 @@ def _write(
         altered = kind.altered(number, dataset.read_image(source))
         suffix = PurePosixPath(dataset.image_names[source]).suffix if altered is None else ".png"
         names.append(f"rgb/{number:04d}{suffix}")
-        # Altered images are kept without loss: a black frame stays black.
+        # Altered images are stored losslessly: a black frame stays black.
         data = dataset.read_image_bytes(source) if altered is None else encode_png(altered)
         (folder / names[-1]).write_bytes(data)
     (folder / IMAGE_LIST).write_text(format_list(times.tolist(), names), encoding="utf-8")

@@ -1,7 +1,7 @@
-"""Flat parts of a scene that are known exactly: where in an image they are, and how far away.
+"""Flat parts of a scene with exactly known geometry: their pixels in an image, and their depth.
 
-A door leaf, a mirror, a window: a rectangle in the world. Rectangles are named by hand in a small
-file, from a plan or a tape measure; nothing here is estimated.
+A part is a rectangle in the world: a door leaf, a mirror, a window. The rectangles come from a file
+that is written by hand, from a plan or a tape measure; nothing is estimated here.
 """
 
 import tomllib
@@ -22,13 +22,13 @@ KEYS = ("corner", "right", "up")
 
 @dataclass(frozen=True)
 class FlatPart:
-    """A rectangle, perhaps at the bottom of a niche of the same outline.
+    """A rectangle, or the back of a niche of the same outline.
 
     Attributes:
         corner: ``(3,)`` lower left corner as a viewer sees it, world coordinates, metres.
-        right: ``(3,)`` from there to the lower right corner.
-        up: ``(3,)`` from there to the upper left corner.
-        recess: depth of the niche, metres: through its walls the rectangle is not seen.
+        right: ``(3,)`` vector from ``corner`` to the lower right corner, metres.
+        up: ``(3,)`` vector from ``corner`` to the upper left corner, metres.
+        recess: depth of the niche, metres; its side walls occlude the rectangle.
     """
 
     corner: FloatArray
@@ -37,9 +37,13 @@ class FlatPart:
     recess: float
 
     def inverse_depth(self, world_from_camera: FloatArray, intrinsics: Intrinsics) -> FloatArray:
-        """Inverse depth ``(H, W)`` of the rectangle at the pixels that look at it; 0 at others.
+        """Inverse depth ``(H, W)`` of the rectangle at the pixels that show it; 0 at others.
 
-        What else might stand between camera and niche is not known here.
+        Occlusion by anything but the niche is not considered.
+
+        Args:
+            world_from_camera: ``(4, 4)`` pose of the camera.
+            intrinsics: of the camera.
         """
         normal = np.cross(self.right, self.up)
         normal = normal / np.linalg.norm(normal)
@@ -65,7 +69,13 @@ class FlatPart:
 def parts_inverse_depth(
     parts: Sequence[FlatPart], world_from_camera: FloatArray, intrinsics: Intrinsics
 ) -> FloatArray:
-    """Inverse depth ``(H, W)`` of the nearest of several parts; 0 where none is looked at."""
+    """Inverse depth ``(H, W)`` of the nearest of several parts; 0 at pixels that show none.
+
+    Args:
+        parts: the rectangles.
+        world_from_camera: ``(4, 4)`` pose of the camera.
+        intrinsics: of the camera.
+    """
     nearest = [part.inverse_depth(world_from_camera, intrinsics) for part in parts]
     return np.asarray(np.max(nearest, axis=0))
 
@@ -87,6 +97,11 @@ def read_flat_parts(path: Path) -> tuple[FlatPart, ...]:
 
 
 def _part(path: Path, number: int, table: Any) -> FlatPart:
+    """The rectangle of a table.
+
+    Raises:
+        InputError: the table does not describe one.
+    """
     place = f"{PART} {number}"
     vectors = []
     for key in KEYS:

@@ -1,32 +1,31 @@
-"""Drives whose images are no views of the place, made of a recorded drive.
+"""Sequences whose images do not show the place, made from a recorded one.
 
-- ``frozen``: one image is shown six times more while the robot drives on; the truth is where it is.
+- ``frozen``: one image is repeated six times while the robot drives on; true poses are kept.
 
-The others show nothing that the map knows; they have no true poses, and whatever is tracked on them
-is wrong:
+The others have no true poses, so that every frame with the status "tracking" is wrong:
 
-- ``mirrored``, ``upside-down`` and ``negative``: the recorded images, left and right or brightness
-  exchanged, or turned by half a turn. What they show is like the place in all but its arrangement.
-- ``noise``: each pixel for itself.
-- ``grey``: one grey.
-- ``ramp``: grey that rises from one side to the other, in another direction in each image.
-- ``stripes``: bright and dark, likewise.
+- ``mirrored``: the recorded images, left and right exchanged.
+- ``upside-down``: the recorded images, rotated by 180 degrees.
+- ``negative``: the recorded images, bright and dark exchanged.
+- ``noise``: independent random pixels.
+- ``grey``: one grey level.
+- ``ramp``: grey levels that rise linearly, in a random direction in each image.
+- ``stripes``: bright and dark stripes, of random direction, width and phase in each image.
 
-Odometry is that of the recorded drive. The same seed gives the same bytes.
+Odometry is that of the recorded sequence. The same seed gives the same bytes.
 """
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray, ImageArray
-from pipelines.artifacts.stages import Progress
-from pipelines.experiments.disturbed_sequences import Disturbance, write_drives
+from pipelines.experiments.disturbed_sequences import Disturbance, DisturbanceSet
 
+# The name by which folders that older versions wrote are recognized, too.
 RECORD = "troubles.json"
 FROZEN_FRAMES = 6
-# Some stay before and after the frozen ones.
+# At least one frame before and one after the frozen ones.
 FEWEST_FRAMES = FROZEN_FRAMES + 2
 GREY = 128
 RAMP_LEVELS = (40.0, 215.0)
@@ -34,8 +33,8 @@ STRIPE_LEVELS = (60.0, 195.0)
 # Stripes across the width of an image.
 FEWEST_STRIPES, MOST_STRIPES = 3.0, 12.0
 
-# An image from a recorded one, which it has the shape of, and random numbers.
-Image = Callable[[ImageArray, np.random.Generator], ImageArray]
+# From a recorded image and random numbers to an image of the same shape.
+Alteration = Callable[[ImageArray, np.random.Generator], ImageArray]
 
 
 def mirrored(image: ImageArray, _rng: np.random.Generator) -> ImageArray:
@@ -44,7 +43,7 @@ def mirrored(image: ImageArray, _rng: np.random.Generator) -> ImageArray:
 
 
 def upside_down(image: ImageArray, _rng: np.random.Generator) -> ImageArray:
-    """The image ``(H, W, 3)`` turned by half a turn, as of a camera that hangs."""
+    """The image ``(H, W, 3)`` rotated by 180 degrees."""
     return np.ascontiguousarray(image[::-1, ::-1])
 
 
@@ -54,17 +53,17 @@ def negative(image: ImageArray, _rng: np.random.Generator) -> ImageArray:
 
 
 def noise(image: ImageArray, rng: np.random.Generator) -> ImageArray:
-    """Pixels ``(H, W, 3)`` of any colour."""
+    """Independent random colours ``(H, W, 3)``."""
     return rng.integers(0, 256, image.shape, dtype=np.uint8)
 
 
 def grey(image: ImageArray, _rng: np.random.Generator) -> ImageArray:
-    """One grey, ``(H, W, 3)``."""
+    """An image ``(H, W, 3)`` of one grey level."""
     return np.full_like(image, GREY)
 
 
 def ramp(image: ImageArray, rng: np.random.Generator) -> ImageArray:
-    """Grey ``(H, W, 3)`` that rises in a direction that is drawn."""
+    """Grey levels ``(H, W, 3)`` that rise linearly in a random direction."""
     along = _along(image, rng)
     low, high = RAMP_LEVELS
     share = (along - along.min()) / (along.max() - along.min())
@@ -72,15 +71,15 @@ def ramp(image: ImageArray, rng: np.random.Generator) -> ImageArray:
 
 
 def stripes(image: ImageArray, rng: np.random.Generator) -> ImageArray:
-    """Stripes ``(H, W, 3)`` of a direction, width and place that are drawn."""
+    """Stripes ``(H, W, 3)`` of random direction, width and phase."""
     along = _along(image, rng) / image.shape[1]
     periods, start = rng.uniform(FEWEST_STRIPES, MOST_STRIPES), rng.random()
     return _grey_image(np.where((periods * along + start) % 1.0 < 0.5, *STRIPE_LEVELS))
 
 
-KINDS: tuple[tuple[str, str, Image], ...] = (
+KINDS: tuple[tuple[str, str, Alteration], ...] = (
     ("mirrored", "left and right are exchanged", mirrored),
-    ("upside-down", "the images are turned by half a turn", upside_down),
+    ("upside-down", "the images are rotated by 180 degrees", upside_down),
     ("negative", "bright and dark are exchanged", negative),
     ("noise", "each pixel has a colour of its own", noise),
     ("grey", "the images have one grey", grey),
@@ -89,12 +88,12 @@ KINDS: tuple[tuple[str, str, Image], ...] = (
 )
 
 
-def troubles(frames: int, seed: int = 0) -> tuple[Disturbance, ...]:
-    """All of them for a drive of so many frames, at least ``FEWEST_FRAMES``.
+def null_image_disturbances(frames: int, seed: int = 0) -> tuple[Disturbance, ...]:
+    """The disturbances of a sequence, ``frozen`` first.
 
     Args:
-        frames: of the recorded drive.
-        seed: of what is drawn, not negative.
+        frames: number of its frames, at least ``FEWEST_FRAMES``.
+        seed: seed of the random images, not negative.
     """
     order = tuple(range(frames))
     first = (frames - FROZEN_FRAMES) // 2
@@ -115,48 +114,25 @@ def troubles(frames: int, seed: int = 0) -> tuple[Disturbance, ...]:
     return (frozen, *others)
 
 
-def write_troubles(
-    drive: Path, output: Path, *, seed: int, overwrite: bool, progress: Progress
-) -> tuple[Path, ...]:
-    """Writes a data set for each of ``troubles`` below a folder.
-
-    Args:
-        drive: the recorded drive, with ground truth, camera and odometry.
-        output: the folder; appears whole or not at all.
-        seed: of what is drawn, not negative.
-        overwrite: whether one of an earlier time may be replaced.
-        progress: told how far the work is.
-
-    Returns:
-        The data sets' folders.
-
-    Raises:
-        InputError: the drive cannot be used, lacks something or is too short, or the output cannot
-            be written.
-    """
-    return write_drives(
-        drive,
-        output,
-        lambda frames: troubles(frames, seed),
-        RECORD,
-        fewest_frames=FEWEST_FRAMES,
-        overwrite=overwrite,
-        progress=progress,
+def null_images(seed: int) -> DisturbanceSet:
+    """The disturbances with the random images of a seed that is not negative."""
+    return DisturbanceSet(
+        RECORD, FEWEST_FRAMES, lambda frames: null_image_disturbances(frames, seed)
     )
 
 
-def _drawn(image: Image, seed: int, kind: int) -> Callable[[int, ImageArray], ImageArray]:
-    """Each frame of each kind draws for itself, whatever was drawn before."""
+def _drawn(image: Alteration, seed: int, kind: int) -> Callable[[int, ImageArray], ImageArray]:
+    """The images of a kind; the random numbers of each depend on its frame alone."""
     return lambda number, recorded: image(recorded, np.random.default_rng([seed, kind, number]))
 
 
 def _along(image: ImageArray, rng: np.random.Generator) -> FloatArray:
-    """Pixels ``(H, W)`` in a direction that is drawn."""
+    """Coordinate ``(H, W)`` of each pixel along a random direction, pixels."""
     angle = rng.uniform(0.0, 2.0 * np.pi)
     rows, columns = np.mgrid[0 : image.shape[0], 0 : image.shape[1]]
     return np.asarray(np.cos(angle) * columns + np.sin(angle) * rows, dtype=np.float64)
 
 
 def _grey_image(levels: FloatArray) -> ImageArray:
-    """Levels ``(H, W)`` as an image ``(H, W, 3)``."""
+    """Grey levels ``(H, W)`` as an image ``(H, W, 3)``."""
     return np.repeat(np.rint(levels).astype(np.uint8)[..., None], 3, axis=2)

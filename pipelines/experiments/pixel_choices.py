@@ -1,9 +1,9 @@
-"""Which pixels are enough to weigh particles? Costs by some of them against costs by all.
+"""Pixel subsampling: log-likelihoods by some of the pixels against those by all.
 
-Views are rendered at states around the truth, whole, and compared with the camera image by the
-filter's default cost; pixels that are left out get no weight, others that of their chance to be
-taken. What counts is how far costs are off from each other: what all have in common changes no
-weight.
+Views are rendered at states around the true pose and compared with the camera image by the filter's
+default cost. Pixels left out get the weight 0, others the reciprocal of their probability to be
+chosen. Only the differences between states count: an error that all states share changes no
+particle's weight.
 """
 
 from collections.abc import Callable, Mapping
@@ -23,45 +23,52 @@ from pipelines.render.comparison import NO_TABLE, compare, prepared
 from pipelines.render.renderer import Renderer
 
 WIDTH = 40
-# Metres and radians; standard deviations of the states around the truth.
+# Standard deviations of the states around the true pose: metres and radians.
 SPREAD = np.array([0.06, 0.06, 0.03])
-STATES, TURNS = 60, 5
+# Number of these states, and number of choices of pixels by each rule, for each image.
+STATES, REPETITIONS = 60, 5
+# An image has the true pose of the nearest timestamp within this, seconds.
 LARGEST_TIME_GAP = 0.1
 
-# From grey levels (H, W), the turn, and random numbers to the weights (H, W) of the pixels.
+# From grey levels (H, W), the number of the repetition, and random numbers to the pixels' weights
+# (H, W).
 Choice = Callable[[FloatArray, int, np.random.Generator], FloatArray]
 
 
 def by_lattice(step: int, shift: int) -> Choice:
-    """One pixel in ``step`` of each row, ``shift`` aside in each."""
+    """One pixel in ``step`` of each row, ``shift`` columns farther in each row."""
 
-    def choose(grey: FloatArray, turn: int, _rng: np.random.Generator) -> FloatArray:
+    def choose(grey: FloatArray, number: int, _rng: np.random.Generator) -> FloatArray:
         rows, columns = grey.shape
-        return subsampling_mask((rows, columns), step, shift, -turn).astype(np.float64)
+        return subsampling_mask((rows, columns), step, shift, -number).astype(np.float64)
 
     return choose
 
 
-def every_other(grey: FloatArray, turn: int, _rng: np.random.Generator) -> FloatArray:
+def every_other(grey: FloatArray, number: int, _rng: np.random.Generator) -> FloatArray:
     """Every other column and row."""
     weights = np.zeros(grey.shape)
-    weights[turn // 2 % 2 :: 2, turn % 2 :: 2] = 1.0
+    weights[number // 2 % 2 :: 2, number % 2 :: 2] = 1.0
     return weights
 
 
 def by_gradient(share: float, floor: float) -> Choice:
-    """A share of the pixels by chance, in proportion to the gradient plus a floor (grey levels).
+    """A random share of the pixels, with probabilities proportional to gradient plus floor.
 
-    Systematic sampling with unequal chances (Madow 1949), the pixels in random order; a pixel's
-    weight is one over its chance.
+    Systematic sampling with unequal probabilities (Madow 1949), the pixels in random order. A
+    pixel's weight is the reciprocal of its probability.
+
+    Args:
+        share: of the pixels, 0 to 1.
+        floor: added to the gradient, grey levels a pixel.
     """
 
-    def choose(grey: FloatArray, _turn: int, rng: np.random.Generator) -> FloatArray:
+    def choose(grey: FloatArray, _number: int, rng: np.random.Generator) -> FloatArray:
         along_y, along_x = np.gradient(grey)
         wanted = share * grey.size
         chance = np.hypot(along_x, along_y).ravel() + floor
         chance *= wanted / chance.sum()
-        # None is taken more than once; what that leaves over goes to the others.
+        # No pixel is chosen more than once; probabilities above 1 go to the others.
         while chance.max() > 1.0 + 1e-9:
             is_sure = chance >= 1.0
             chance[is_sure] = 1.0
@@ -92,20 +99,20 @@ CHOICES: Mapping[str, Choice] = MappingProxyType(
 def errors_of_choices(
     scene: Scene, dataset: Dataset, rng: np.random.Generator, every_frame: int = 3
 ) -> tuple[dict[str, float], float]:
-    """How far log-likelihoods by some of the pixels are off from those by all.
+    """Errors of log-likelihoods by some of the pixels against those by all.
 
     Args:
         scene: the light field.
-        dataset: a drive of a robot on a floor through it, with ground truth.
-        rng: for states around the truth, and choices by chance.
-        every_frame: of so many frames one is looked at.
+        dataset: sequence of a robot on a floor in that scene, with camera and ground truth.
+        rng: random numbers of the states around the true pose and of the choices.
+        every_frame: one in this many frames is used.
 
     Returns:
-        Standard deviations among states of the same image, root mean square over images and turns:
-        of the errors, by choice; and of the log-likelihoods themselves.
+        The standard deviation of the errors, by choice, and that of the log-likelihoods themselves.
+        Both are among states of one image, as root mean square over images and repetitions.
 
     Raises:
-        InputError: no camera, or no ground truth at any image.
+        InputError: the data set has no camera, or no ground truth at any image.
     """
     if dataset.camera is None:
         raise InputError(dataset.root / CAMERA_FILE, "is missing")
@@ -132,8 +139,8 @@ def errors_of_choices(
         whole = likelihood.sharpness * costs_by_some(images, covered, query, np.ones(grey.shape))
         spreads.append(float(np.var(whole)))
         for name, choose in CHOICES.items():
-            for turn in range(TURNS):
-                part = costs_by_some(images, covered, query, choose(grey, turn, rng))
+            for number in range(REPETITIONS):
+                part = costs_by_some(images, covered, query, choose(grey, number, rng))
                 squares[name].append(float(np.var(likelihood.sharpness * part - whole)))
     if not spreads:
         raise InputError(dataset.root / GROUNDTRUTH_FILE, "has no pose at any image")
@@ -144,16 +151,16 @@ def errors_of_choices(
 def costs_by_some(
     images: Float32Array, covered: BoolArray, query: Float32Array, weights: FloatArray
 ) -> FloatArray:
-    """The default cost of views, the filter's ``robust``, with these weights of their pixels.
+    """The filter's default cost ``robust`` of views, with a weight for each pixel.
 
     Args:
-        images: ``(M, H, W, 3)`` views.
-        covered: ``(M, H, W)``.
-        query: ``(H, W, 4)`` camera image, see ``comparison.prepared``.
-        weights: ``(H, W)``.
+        images: ``(M, H, W, 3)`` rendered views.
+        covered: ``(M, H, W)`` pixels that a recorded view covers.
+        query: ``(H, W, 4)`` camera image as ``comparison.prepared`` returns it.
+        weights: ``(H, W)`` of the pixels.
 
     Returns:
-        ``(M,)``.
+        ``(M,)`` costs.
     """
     likelihood = LIKELIHOODS["robust"]
     weighted = query.copy()

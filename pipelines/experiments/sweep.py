@@ -1,4 +1,4 @@
-"""The stage ``sweep``: many runs of the filter, one table, and figures."""
+"""The stage ``sweep``: many runs of the filter, summarized in a table and figures."""
 
 import logging
 from collections.abc import Iterator, Sequence
@@ -18,7 +18,7 @@ from pipelines.experiments.sweep_plan import planned_runs
 from pipelines.experiments.sweep_plots import write_plots
 from pipelines.experiments.sweep_result import RunResult
 from pipelines.experiments.sweep_run import Outcome, SweepRun
-from pipelines.experiments.sweep_store import kept_result, save_result
+from pipelines.experiments.sweep_store import save_result, stored_result
 from pipelines.experiments.sweep_tables import (
     Line,
     as_csv,
@@ -29,7 +29,7 @@ from pipelines.experiments.sweep_tables import (
 )
 from pipelines.experiments.sweep_workers import run_locally
 
-# The config of the last sweep into a folder; also tells that the folder is a sweep's.
+# Copy of the config; a folder with this file is a sweep's.
 CONFIG_COPY = "sweep.toml"
 TABLE = "table"
 
@@ -38,14 +38,14 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class SweepSummary:
-    """A ``Summary`` of a sweep.
+    """Summary of a sweep.
 
     Attributes:
         output: the folder.
-        lines: of the table.
-        runs: how many there are.
-        kept: how many of them were finished before.
-        failures: of runs that broke, a line each.
+        lines: lines of the table.
+        runs: number of runs.
+        kept: number of runs whose stored results were reused.
+        failures: one line for each run that failed.
     """
 
     output: Path
@@ -79,21 +79,21 @@ def sweep(
     overwrite: bool,
     progress: Progress,
 ) -> SweepSummary:
-    """Makes all runs of a config that are not finished yet, and tables and figures of all of them.
+    """Executes all runs of a config that are not finished, and writes tables and figures of all.
 
     Args:
-        config_path: see ``sweep_config``.
-        output: folder; one of an earlier sweep is continued. Gets ``runs/`` with a file for each
+        config_path: TOML file of the format that ``sweep_config`` describes.
+        output: folder; that of an earlier sweep is continued. Gets ``runs/`` with a file for each
             finished run, ``table.csv``, ``table.json``, ``table.md``, and figures.
-        seeds: takes the place of those in the config.
-        scheduler: address of a Dask scheduler; None: this machine.
-        processes: on this machine; None: one a processor.
-        overwrite: whether to make finished runs anew.
-        progress: told how far the work is.
+        seeds: seeds that replace those in the config; None: those in the config.
+        scheduler: address of a Dask scheduler; None: this machine executes the runs.
+        processes: number of processes on this machine; None: one a processor.
+        overwrite: whether finished runs are repeated.
+        progress: wraps loops to report progress.
 
     Raises:
         InputError: the config, a scene or a data set cannot be used, or the output not be written.
-        OptionError: no processes, no such seeds, or no scheduler there.
+        OptionError: no processes, invalid seeds, or no scheduler at the address.
     """
     if processes is not None and processes < 1:
         raise OptionError(f"{processes} processes cannot do any work; give at least 1")
@@ -103,10 +103,10 @@ def sweep(
     text = read_text_file(config_path, MAX_TOML_BYTES)
     write_text(output / CONFIG_COPY, text, overwrite=True)
     program = program_hash()
-    found = {} if overwrite else _kept(output, runs, program)
+    found = {} if overwrite else _stored(output, runs, program)
     results = dict(found)
     failures = []
-    # One run may stand in several lines: PnP has no use for what they differ in.
+    # A run may belong to several lines: PnP does not depend on what they differ in.
     missing = list({run.key: run for run in reversed(runs) if run.key not in found}.values())
     outcomes = _outcomes(missing[::-1], scheduler, processes)
     for run, outcome in progress(outcomes, "runs", len(missing)):
@@ -115,29 +115,29 @@ def sweep(
             results[run.key] = outcome.result
         else:
             failures.append(f"{_name(run)}: {outcome.failure}")
-            _log.warning("a run broke: %s", failures[-1])
+            _log.warning("a run failed: %s", failures[-1])
     lines = lines_of((run.setup, results.get(run.key)) for run in runs)
     _write(output, lines, failures)
     kept = sum(run.key in found for run in runs)
     return SweepSummary(output, lines, len(runs), kept, tuple(failures))
 
 
-def _kept(output: Path, runs: Sequence[SweepRun], program: str) -> dict[str, RunResult]:
-    """Results of runs that were finished before; says when another program made them."""
-    found = ((run.key, kept_result(output, run)) for run in runs)
-    kept = {key: item for key, item in found if item is not None}
-    others = sum(item.program != program for item in kept.values())
+def _stored(output: Path, runs: Sequence[SweepRun], program: str) -> dict[str, RunResult]:
+    """Results of finished runs; logs a warning where another program version computed them."""
+    found = ((run.key, stored_result(output, run)) for run in runs)
+    stored = {key: item for key, item in found if item is not None}
+    others = sum(item.program != program for item in stored.values())
     if others:
-        # Not made anew by itself: an edit of a comment would cost hours.
+        # Not repeated automatically: an edit of a comment would cost hours.
         text = "%s: %d of %d finished runs were made by another version of the program; "
-        _log.warning(text + "--overwrite makes all runs anew", output, others, len(kept))
-    return {key: item.result for key, item in kept.items()}
+        _log.warning(text + "--overwrite repeats all runs", output, others, len(stored))
+    return {key: item.result for key, item in stored.items()}
 
 
 def _outcomes(
     runs: Sequence[SweepRun], scheduler: str | None, processes: int | None
 ) -> Iterator[tuple[SweepRun, Outcome]]:
-    """Makes the runs, wherever that is to be done.
+    """Executes the runs, on this machine or on a cluster.
 
     Raises:
         OptionError: Dask is not installed, or no scheduler answers.
@@ -154,15 +154,16 @@ def _outcomes(
 
 
 def _write(output: Path, lines: Sequence[Line], failures: Sequence[str]) -> None:
-    """Tables and figures; each file is there whole or not at all."""
+    """Writes tables and figures; each file appears whole or not at all."""
     write_text(output / f"{TABLE}.csv", as_csv(lines), overwrite=True)
     write_text(output / f"{TABLE}.json", as_json(lines, failures), overwrite=True)
     write_plots(output, lines)
-    # Last, since make takes it for the sign that all is done.
+    # Last: for make, this file says that all are done.
     write_text(output / f"{TABLE}.md", as_markdown(lines, failures), overwrite=True)
 
 
 def _name(run: SweepRun) -> str:
+    """A run's name in messages."""
     setup = run.setup
     parts = [setup.dataset, setup.odometry, setup.contender]
     if setup.likelihood is not None:

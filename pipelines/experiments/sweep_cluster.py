@@ -1,7 +1,7 @@
 """Runs of a sweep on a Dask cluster.
 
-The cluster's workers need lfnav, and the scenes and data sets under the same paths. Results travel
-back by the network and are kept where the sweep was started.
+The cluster's workers need lfnav, and the scenes and data sets under the same paths. Results are
+sent back and stored where the sweep was started.
 """
 
 import logging
@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from distributed import Client, Future, Worker, WorkerPlugin, as_completed, get_worker
 
 from pipelines.artifacts.errors import OptionError
-from pipelines.experiments.sweep_run import Bench, Outcome, SweepRun
+from pipelines.experiments.sweep_run import Outcome, RunExecutor, SweepRun
 
 PLUGIN = "lfnav-sweep"
 CONNECT_SECONDS = 15
@@ -18,34 +18,34 @@ CONNECT_SECONDS = 15
 _log = logging.getLogger(__name__)
 
 
-class BenchPlugin(WorkerPlugin):  # type: ignore[misc]
-    """Keeps loaded scenes on a worker from one run to the next."""
+class ExecutorPlugin(WorkerPlugin):  # type: ignore[misc]
+    """Keeps scenes loaded on a worker from one run to the next."""
 
     def setup(self, worker: Worker) -> None:
-        """Called on each worker when it gets the plugin."""
-        self.bench = Bench()
+        """Called by Dask on each worker that gets the plugin."""
+        self.executor = RunExecutor()
 
 
 def run_on_cluster(runs: Sequence[SweepRun], address: str) -> Iterator[tuple[SweepRun, Outcome]]:
-    """Makes runs on the workers of a cluster.
+    """Executes runs on the workers of a cluster.
 
     Args:
-        runs: what to make.
-        address: the scheduler's, ``tcp://host:8786``.
+        runs: the runs.
+        address: address of the Dask scheduler, for example ``tcp://host:8786``.
 
     Yields:
-        Each run with its outcome, in the order in which they end. Closing the iterator withdraws
-        those that are left.
+        Each run with its outcome, in the order in which they end. Closing the iterator cancels the
+        remaining ones.
 
     Raises:
-        OptionError: no scheduler answers there.
+        OptionError: no scheduler answers at the address.
     """
     try:
         client = Client(address, timeout=CONNECT_SECONDS)
     except (OSError, ValueError) as error:
         raise OptionError(f"no Dask scheduler answers at {address} ({error})") from error
     with client:
-        client.register_plugin(BenchPlugin(), name=PLUGIN)
+        client.register_plugin(ExecutorPlugin(), name=PLUGIN)
         if not client.scheduler_info()["workers"]:
             _log.warning("the cluster at %s has no workers yet; waiting for them", address)
         futures = {client.submit(_outcome, run, pure=False): run for run in runs}
@@ -58,15 +58,15 @@ def run_on_cluster(runs: Sequence[SweepRun], address: str) -> Iterator[tuple[Swe
 
 
 def _outcome(run: SweepRun) -> Outcome:
-    """What a worker does for a run."""
+    """Executes a run; called on a worker."""
     plugin = get_worker().plugins[PLUGIN]
-    if not isinstance(plugin, BenchPlugin):
+    if not isinstance(plugin, ExecutorPlugin):
         return Outcome(None, f"the worker has another plugin named {PLUGIN}")
-    return plugin.bench.outcome(run)
+    return plugin.executor.outcome(run)
 
 
 def _outcome_of(future: Future) -> Outcome:
-    """What came back; a worker that died, or knows no lfnav, makes a run fail."""
+    """The outcome of a future; a failure where the worker died or has no lfnav."""
     error = future.exception()
     if error is not None:
         return Outcome(None, f"{type(error).__name__}: {' '.join(str(error).split())}")

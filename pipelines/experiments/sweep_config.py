@@ -40,7 +40,7 @@ from pipelines.experiments.config_tables import (
     checked_table,
     named_seeds,
     read_seeds,
-    refuse_twice,
+    refuse_duplicates,
 )
 from pipelines.localize.config import (
     Choices,
@@ -120,7 +120,7 @@ def read_sweep_config(path: Path, seeds: str | None = None) -> SweepConfig:
         _dataset(path, f"data set {number}", table) for number, table in enumerate(tables, start=1)
     )
     names = [dataset.name for dataset in datasets]
-    refuse_twice(path, "two data sets have the same name", names)
+    refuse_duplicates(path, "two data sets have the same name", names)
     rest = {key: value for key, value in content.items() if key not in {"sweep", "dataset"}}
     chosen_seeds = read_seeds(path, "[sweep]", sweep) if seeds is None else named_seeds(seeds)
     config = SweepConfig(datasets, chosen_seeds, _settings(path, rest, sweep))
@@ -146,7 +146,7 @@ def _settings(
             varied[field] = [key.parsed(value) for value in values]
         except ValueError as error:
             raise InputError(path, f"[sweep] {name} {error}") from error
-        refuse_twice(path, f"[sweep] {name}", varied[field])
+        refuse_duplicates(path, f"[sweep] {name}", varied[field])
     combinations = []
     for combination in product(*varied.values()):
         chosen = _with_a_meaning(base, dict(zip(varied, combination, strict=True)))
@@ -187,7 +187,7 @@ def _dataset(path: Path, place: str, table: Any) -> SweepDataset:
         files = checked_list(path, f"{place}: odometry", values["odometry"])
         if not all(isinstance(file, str) and file for file in files):
             raise InputError(path, f"{place}: odometry is not a list of file names")
-        refuse_twice(path, f"{place}: odometry", files)
+        refuse_duplicates(path, f"{place}: odometry", files)
         odometry = tuple(
             NO_ODOMETRY if file == str(NO_ODOMETRY) else absolute_path(root, file) for file in files
         )

@@ -1,4 +1,4 @@
-"""From the config of a sweep to its runs, each with a key that stands for all that goes into it."""
+"""The runs of a sweep by its config, each with a key that is a hash of all its inputs."""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -19,19 +19,23 @@ from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.stage import NO_ODOMETRY, check_odometry
 from pipelines.render.devices import resolved_device
 
-# Raise it when results that were kept are no longer what would be computed now.
+# Increase this when stored results are no longer what would be computed.
 RESULTS_VERSION = 4
 
 
 def planned_runs(config: SweepConfig, progress: Progress) -> tuple[SweepRun, ...]:
-    """All runs, those of a line of the table next to each other.
+    """All runs of a config, those of one line of the table next to each other.
+
+    Args:
+        config: of the sweep.
+        progress: wraps the loop over data sets to report progress.
 
     Raises:
         InputError: a scene or a data set cannot be used, or has no ground truth.
     """
     runs: list[SweepRun] = []
     for dataset in progress(config.datasets, "inputs", len(config.datasets)):
-        # Whatever would fail in every run fails now.
+        # What would fail in every run fails now.
         load_scene(dataset.scene)
         hashes = {"scene": scene_hash(dataset.scene)}
         for odometry in dataset.odometry:
@@ -48,12 +52,17 @@ def planned_runs(config: SweepConfig, progress: Progress) -> tuple[SweepRun, ...
 
 
 def _checked_dataset(dataset: SweepDataset, odometry: Path | None) -> Dataset:
+    """A data set with one of its odometry files.
+
+    Raises:
+        InputError: it cannot be used, or has no ground truth.
+    """
     loaded = load_dataset(dataset.path, odometry=None if odometry == NO_ODOMETRY else odometry)
     if odometry == NO_ODOMETRY:
         loaded = replace(loaded, odometry=None)
     if loaded.groundtruth is None:
         raise InputError(
-            dataset.path / GROUNDTRUTH_FILE, "is missing: a sweep judges its runs by the truth"
+            dataset.path / GROUNDTRUTH_FILE, "is missing: a sweep measures errors against it"
         )
     return loaded
 
@@ -61,11 +70,12 @@ def _checked_dataset(dataset: SweepDataset, odometry: Path | None) -> Dataset:
 def _runs(
     config: SweepConfig, dataset: SweepDataset, odometry: Path | None, inputs: Mapping[str, str]
 ) -> Iterator[SweepRun]:
+    """The runs of all settings and seeds on a data set with one odometry file."""
     for chosen, seed in product(config.settings, config.seeds):
-        # There is a process for each processor; the number of threads changes no result. The
-        # device does, in the last digits: all runs of a sweep have the same.
+        # There is one process a processor. The number of threads does not change results. The
+        # device does, by rounding: all runs of a sweep have the same.
         settings = replace(chosen, threads=1, device=resolved_device(chosen.device))
-        # Features of single images: with each odometry it is the same run.
+        # PnP uses single images: with any odometry file it is the same run.
         uses_odometry = odometry != NO_ODOMETRY and settings.method != "pnp"
         used = {name: of for name, of in inputs.items() if uses_odometry or name != "odometry"}
         yield SweepRun(
@@ -82,7 +92,13 @@ def _runs(
 
 
 def run_key(settings: LocalizerSettings, seed: int, inputs: Mapping[str, str]) -> str:
-    """SHA-256 of everything that a run's result depends on, but for edits of the program."""
+    """SHA-256 of everything that a run's result depends on except for the source code.
+
+    Args:
+        settings: the filter's settings.
+        seed: of the filter's random numbers.
+        inputs: name of an input -> SHA-256 of its content.
+    """
     content = {
         "results": RESULTS_VERSION,
         "lfnav": version_of("lfnav"),
@@ -99,6 +115,7 @@ def _setup(
     settings: LocalizerSettings,
     inputs: Mapping[str, str],
 ) -> Setup:
+    """The line of the table that a run belongs to."""
     if odometry is not None:
         name = odometry.name
     else:
@@ -117,7 +134,7 @@ def _setup(
 
 
 def _name_of(likelihood: Likelihood) -> str:
-    """What tables call it: the cost, and which pixels where these are not the usual ones."""
+    """A likelihood's name in tables: its cost, and its pixel subsampling unless that is usual."""
     name = likelihood.cost.name.lower()
     step = likelihood.one_pixel_in
     if step == LIKELIHOODS[name].one_pixel_in:

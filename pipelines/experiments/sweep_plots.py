@@ -1,4 +1,4 @@
-"""Figures of a sweep: a measure over the number of particles, a panel a data set and odometry."""
+"""Figures of a sweep: a measure over the number of particles, one panel a data set and odometry."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -14,7 +14,8 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from pipelines.experiments.sweep_tables import Line
 
-# Colours of Okabe and Ito (2008), and markers for print in grey: none that looks like an arrow.
+# Colours of Okabe and Ito (2008), and markers for print in grey. No marker looks like the arrow of
+# values beyond the axis.
 SERIES_STYLES = (
     ("#0072B2", "o"),
     ("#D55E00", "s"),
@@ -24,7 +25,7 @@ SERIES_STYLES = (
     ("#56B4E9", "p"),
     ("#000000", "*"),
 )
-# All series together take so much of the room between two numbers of particles.
+# All series together are spread over this share of the distance between two ticks.
 SPREAD = 0.5
 PANEL_WIDTH, PANEL_HEIGHT, PANELS_A_ROW = 3.6, 2.9, 4
 
@@ -36,11 +37,11 @@ class Plot:
     """A figure.
 
     Attributes:
-        name: of its file, without suffix.
-        label: of the axis.
-        span: low, middle and high value of a line.
-        is_logarithmic: whether the axis is.
-        top: end of the axis, or None for what fits.
+        name: name of its file, without suffix.
+        label: label of the y axis.
+        span: from a line of the table to its low, middle and high value.
+        is_logarithmic: whether the y axis is.
+        top: upper end of the y axis; None: by the data.
     """
 
     name: str
@@ -51,6 +52,8 @@ class Plot:
 
 
 def _quantiles(measure: str, factor: float = 1.0) -> Callable[[Line], Span]:
+    """10, 50 and 90 % quantile of a measure, multiplied by a factor."""
+
     def span(line: Line) -> Span:
         low, middle, high = (factor * line.quantile(measure, share) for share in (0.1, 0.5, 0.9))
         return low, middle, high
@@ -59,6 +62,7 @@ def _quantiles(measure: str, factor: float = 1.0) -> Callable[[Line], Span]:
 
 
 def _success(line: Line) -> Span:
+    """Success rate in its interval, percent."""
     low, high = line.interval
     return 100.0 * low, 100.0 * line.success_rate, 100.0 * high
 
@@ -93,7 +97,7 @@ PLOTS = (
 
 def write_plots(folder: Path, lines: Sequence[Line]) -> None:
     """Writes a PNG for each of ``PLOTS`` into a folder."""
-    # Names come from other people's files: "$" must not start a formula there.
+    # Names come from users' files: "$" must not start a formula in them.
     with mpl.rc_context(
         {"font.family": ["DejaVu Sans"], "font.size": 9.0, "text.parse_math": False}
     ):
@@ -102,9 +106,9 @@ def write_plots(folder: Path, lines: Sequence[Line]) -> None:
 
 
 def figure_of(plot: Plot, lines: Sequence[Line]) -> Figure:
-    """A measure of all lines.
+    """The figure of a measure over all lines of the table.
 
-    What is infinite (runs that never converged, or have no estimate) ends in an arrow at the top.
+    Infinite values (runs that never converged, or have no estimate) are arrows at the top.
     """
     panels = list(dict.fromkeys(_panel_of(line) for line in lines))
     columns = min(len(panels), PANELS_A_ROW)
@@ -132,7 +136,7 @@ def figure_of(plot: Plot, lines: Sequence[Line]) -> Figure:
 
 
 def _draw(axes: Axes, plot: Plot, panel: tuple[str, str], lines: Sequence[Line]) -> None:
-    """One panel; all panels have the same series and numbers of particles."""
+    """Draws one panel; all panels have the same series and numbers of particles."""
     series = list(dict.fromkeys(_series_of(line) for line in lines))
     numbers = sorted({n for line in lines if (n := line.setup.particles) is not None})
     top = axes.get_ylim()[1]
@@ -160,7 +164,7 @@ def _draw(axes: Axes, plot: Plot, panel: tuple[str, str], lines: Sequence[Line])
 
 
 def _draw_across(axes: Axes, spans: Sequence[Span], colour: str, name: str) -> None:
-    """What has no particles is the same for any number of them: a line with a band."""
+    """Draws a method without particles as a horizontal line with a band."""
     top = axes.get_ylim()[1]
     for low, middle, high in spans or [(math.nan, math.nan, math.nan)]:
         if math.isfinite(low):
@@ -169,7 +173,7 @@ def _draw_across(axes: Axes, spans: Sequence[Span], colour: str, name: str) -> N
 
 
 def _limits(plot: Plot, lines: Sequence[Line]) -> tuple[float, float]:
-    """The axis: all that is finite, and some room."""
+    """Limits of the y axis: all finite values with a margin."""
     values = np.array([plot.span(line) for line in lines])
     known = values[np.isfinite(values)]
     if plot.is_logarithmic:

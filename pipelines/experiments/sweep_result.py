@@ -1,7 +1,9 @@
-"""What a run of a sweep came to: held against the truth, a few figures."""
+"""The result of a sweep's run: a few numbers about its errors against ground truth and its time."""
 
 import math
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, fields
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -15,48 +17,52 @@ from pipelines.localize.run import BY_ODOMETRY, Run
 from pipelines.localize.state_space import known_states
 from pipelines.localize.trust import trust_of
 
-# A drive has settled from this frame on, counted from 0.
+# A run has settled from this frame on, counted from 0.
 SETTLED = 4
-# Frames from this one on are counted as close or not: metres and degrees.
+# From this frame on, frames with smaller errors than these are close: metres and degrees.
 CLOSE_FROM, CLOSE_POSITION_M, CLOSE_HEADING_DEG = 10, 0.1, 3.0
 
 
 @dataclass(frozen=True)
 class RunResult:
-    """What comes out of a run.
+    """Numbers about a run.
 
     Attributes:
-        success: the last five frames are on average within 0.15 m and 3 degrees.
-        position_error_m: mean over the last five frames; None where there was no estimate.
-        heading_error_deg: likewise.
+        success: whether errors, averaged over the last five frames, are below 0.15 m and 3 degrees.
+        position_error_m: mean over the last five frames; None without an estimate there.
+        heading_error_deg: mean over the last five frames; None without an estimate there.
         median_position_error_m: median over the frames that have an estimate.
-        median_heading_error_deg: likewise.
-        settled_position_error_m: median over the frames from the fifth on, those without an
-            estimate being infinitely wrong; None where it is infinite, or there are no such frames.
-        settled_heading_error_deg: likewise.
-        close_share: of the frames after the tenth, how many are within 10 cm and 3 degrees; None
-            where there are no such frames.
-        frames_until_converged: None where it never did.
-        frames_to_recover: length of the longest stretch of worse frames after the first good one; 0
+        median_heading_error_deg: median over the frames that have an estimate.
+        settled_position_error_m: median over the frames from the fifth on, infinite where a frame
+            has no estimate; None where the median is infinite or there are no such frames.
+        settled_heading_error_deg: median over the same frames, None in the same cases.
+        close_share: share of the frames from the eleventh on within 10 cm and 3 degrees; None where
+            there are no such frames.
+        frames_until_converged: frames before convergence; None where the run never converged.
+        frames_to_recover: length of the longest run of worse frames after the first good one; 0
             where there is none; None where the last frame is not good.
-        frames: how many have a truth.
-        in_95_region: share of the frames after convergence with the truth in the stated region.
-        frames_blind: how many images were found to show nothing.
-        confidence_blind: the highest that was stated there; None where there are none.
-        confidence: the median over the other frames; likewise.
-        cpu_seconds_per_frame: processor time of the whole run over the number of frames; on a
-            busy machine the one figure that can be compared. (A process that makes several runs at
-            once, as Dask's workers may, counts them all in each.)
+        frames: number of frames with ground truth.
+        in_95_region: share of the frames after convergence whose true pose lies in the region that
+            the filter states for 95 %; None where unknown.
+        frames_blind: number of frames with the status "blind".
+        confidence_blind: highest confidence in these frames; None where there are none.
+        confidence: median confidence of the frames with an image to compare; None where there are
+            none.
+        cpu_seconds_per_frame: processor time of the run over its number of frames. On a busy
+            machine this is the only time that can be compared. (In a process that executes several
+            runs at once, as Dask's workers may, it includes all of them.)
         seconds_per_frame: wall time, mean over all frames.
-        seconds_while_searching: mean over the frames of the global search: the first, where the
-            start is anywhere, and those whose status is "global"; None where there are none.
-        seconds_while_tracking: mean over the others in which one mode was followed; likewise.
-        frames_right: frames with a truth that track the right place (``localize.trust``).
-        frames_silent: those that track none.
-        frames_wrong: those that track another one.
+        seconds_while_searching: wall time, mean over the frames of the global search: those with
+            the status "global", and the first where the start is unknown; None without such frames.
+        seconds_while_tracking: wall time, mean over the other frames with the status "tracking";
+            None without such frames.
+        frames_right: frames with ground truth that track the right place (``localize.trust``).
+        frames_silent: frames with ground truth that track no place.
+        frames_wrong: frames with ground truth that track a wrong place.
         wrong_at_the_end: whether one of the last ten frames is wrong.
-        confidence_sums: for each bin of confidence the number of frames with a truth, the sum of
-            their confidences, and how many have an estimate as close as the confidence speaks of.
+        confidence_sums: for each bin of confidence: the number of frames with ground truth, the sum
+            of their confidences, and the number of those within the errors that confidence is about
+            (0.1 m and 3 degrees).
     """
 
     success: bool
@@ -90,48 +96,25 @@ class RunResult:
 
     @classmethod
     def of_json(cls, values: JsonFields) -> "RunResult":
-        """What ``to_dict`` wrote.
+        """The result that ``to_dict`` returned.
 
         Raises:
             InputError: a key is missing or holds something else.
         """
         return cls(
-            success=values.get("success", bool),
-            position_error_m=_number(values, "position_error_m"),
-            heading_error_deg=_number(values, "heading_error_deg"),
-            median_position_error_m=_number(values, "median_position_error_m"),
-            median_heading_error_deg=_number(values, "median_heading_error_deg"),
-            settled_position_error_m=_number(values, "settled_position_error_m"),
-            settled_heading_error_deg=_number(values, "settled_heading_error_deg"),
-            close_share=_number(values, "close_share"),
-            frames_until_converged=_count(values, "frames_until_converged"),
-            frames_to_recover=_count(values, "frames_to_recover"),
-            frames=values.get("frames", int),
-            in_95_region=_number(values, "in_95_region"),
-            frames_blind=values.get("frames_blind", int),
-            confidence_blind=_number(values, "confidence_blind"),
-            confidence=_number(values, "confidence"),
-            cpu_seconds_per_frame=values.number("cpu_seconds_per_frame"),
-            seconds_per_frame=values.number("seconds_per_frame"),
-            seconds_while_searching=_number(values, "seconds_while_searching"),
-            seconds_while_tracking=_number(values, "seconds_while_tracking"),
-            frames_right=values.get("frames_right", int),
-            frames_silent=values.get("frames_silent", int),
-            frames_wrong=values.get("frames_wrong", int),
-            wrong_at_the_end=values.get("wrong_at_the_end", bool),
-            confidence_sums=_sums(values, "confidence_sums"),
+            **{field.name: _READERS[field.type](values, field.name) for field in fields(cls)}
         )
 
 
 def judged(run: Run, cpu_seconds: float) -> RunResult:
-    """Holds a run against its ground truth; one that never had an estimate is no success.
+    """The result of a run; a run without any estimate is no success.
 
     Args:
-        run: with ground truth.
-        cpu_seconds: processor time that it took.
+        run: the run, with ground truth.
+        cpu_seconds: its processor time.
 
     Raises:
-        InputError: the run carries no ground truth.
+        InputError: the run has no ground truth.
     """
     evaluation = evaluate_run(run) if _has_estimate(run) else None
     position = heading = None
@@ -148,7 +131,7 @@ def judged(run: Run, cpu_seconds: float) -> RunResult:
     seconds = np.array([sum(frame.seconds.values()) for frame in run.frames])
     statuses = np.array([frame.status for frame in run.frames])
     searched = statuses == "global"
-    # Found at once or not: nobody knew where to look.
+    # With an unknown start the first frame is a global search, whatever its status.
     searched[0] |= run.settings.get("start") is None
     return RunResult(
         success=evaluation is not None and evaluation.success,
@@ -178,14 +161,6 @@ def judged(run: Run, cpu_seconds: float) -> RunResult:
     )
 
 
-def _number(values: JsonFields, key: str) -> float | None:
-    return None if values.values.get(key, 0) is None else values.number(key)
-
-
-def _count(values: JsonFields, key: str) -> int | None:
-    return None if values.values.get(key, 0) is None else values.get(key, int)
-
-
 def _sums(values: JsonFields, key: str) -> tuple[tuple[float, ...], ...]:
     """``(BINS, 3)`` finite numbers."""
     rows = values.get(key, list)
@@ -198,29 +173,49 @@ def _sums(values: JsonFields, key: str) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(row) for row in table.tolist())
 
 
+# How to read a value of each type that ``RunResult`` has.
+_READERS: Mapping[Any, Callable[[JsonFields, str], Any]] = MappingProxyType(
+    {
+        bool: lambda values, key: values.get(key, bool),
+        int: lambda values, key: values.get(key, int),
+        float: JsonFields.number,
+        int | None: lambda values, key: _or_none(values, key, lambda: values.get(key, int)),
+        float | None: lambda values, key: _or_none(values, key, lambda: values.number(key)),
+        tuple[tuple[float, ...], ...]: _sums,
+    }
+)
+
+
+def _or_none(values: JsonFields, key: str, read: Callable[[], Any]) -> Any:
+    """A value that may be null, but not missing."""
+    return None if values.values.get(key, 0) is None else read()
+
+
 def _medians(errors: FloatArray) -> list[float | None]:
-    """Median of each row ``(2, N)``; None where it is infinite, or there are no columns."""
+    """Median of each row ``(2, N)``; None where it is infinite or there are no columns."""
     if errors.shape[1] == 0:
         return [None, None]
-    # Not the mean of the middle two, which infinity may be one of.
+    # Not the mean of the middle two values, one of which may be infinite.
     medians = np.quantile(errors, 0.5, axis=1, method="inverted_cdf")
     return [float(value) if math.isfinite(value) else None for value in medians]
 
 
 def _close_share(errors: FloatArray) -> float | None:
+    """Share of frames whose errors, metres and degrees ``(2, N)``, are close; None without any."""
     if errors.shape[1] == 0:
         return None
     return float(np.mean((errors[0] < CLOSE_POSITION_M) & (errors[1] < CLOSE_HEADING_DEG)))
 
 
 def _frames_to_recover(evaluation: RunEvaluation | None) -> int | None:
+    """The longest recovery of a run; None where it never converged."""
     if evaluation is None or evaluation.frames_until_converged is None:
         return None
     return max(evaluation.frames_to_recover, default=0)
 
 
 def _has_estimate(run: Run) -> bool:
-    """Whether a frame whose truth is known has an estimate; True where no truth is known."""
+    """Whether a frame with ground truth has an estimate; True without any ground truth."""
     has_truth = _has_truth(run)
     if not np.any(has_truth):
         return True
@@ -230,12 +225,12 @@ def _has_estimate(run: Run) -> bool:
 
 
 def _has_truth(run: Run) -> BoolArray:
-    """Frames ``(N,)`` whose truth is known."""
+    """Frames ``(N,)`` with ground truth."""
     return known_states(_truth(run))
 
 
 def _truth(run: Run) -> FloatArray:
-    """True states ``(N, D)``, NaN where they are unknown."""
+    """True states ``(N, D)``; NaN where they are unknown."""
     if run.groundtruth is None:
         return np.full((len(run.frames), run.space.dimension), np.nan)
     return run.groundtruth

@@ -1,4 +1,4 @@
-"""One run of a sweep: what goes in, what comes out, and how the one becomes the other."""
+"""One run of a sweep: its inputs, its outcome, and its execution."""
 
 import os
 from collections.abc import Mapping
@@ -26,13 +26,13 @@ class Setup:
     """What the runs of one line of the table have in common: everything but the seed.
 
     Attributes:
-        dataset: its name.
+        dataset: name of the data set.
         odometry: name of the odometry file, or ``none``.
-        method: ``filter`` or ``pnp``, which uses nothing of a filter.
-        strategy: of the filter; None: there is none. So it is with those that follow.
-        proposal: where the strategy looks; None: it takes no proposals.
-        likelihood: kind of the comparison, and how many pixels where these are not the usual.
-        particles: kept while tracking.
+        method: ``filter`` or ``pnp``; the attributes below are None with ``pnp``.
+        strategy: the filter's strategy.
+        proposal: source of the strategy's proposals; None where it draws none.
+        likelihood: name of the likelihood, and its pixel subsampling unless that is usual.
+        particles: number of particles while tracking.
     """
 
     dataset: str
@@ -45,7 +45,7 @@ class Setup:
 
     @property
     def contender(self) -> str:
-        """What tables and figures call the way of localizing."""
+        """Name of method, strategy and proposal in tables and figures."""
         if self.strategy is None:
             return self.method
         usual = self.proposal is None or self.proposal == LocalizerSettings.proposal
@@ -54,16 +54,16 @@ class Setup:
 
 @dataclass(frozen=True)
 class SweepRun:
-    """What goes into a run.
+    """Inputs of a run.
 
     Attributes:
         setup: its line in the table.
-        scene: scene model, absolute.
-        dataset: absolute.
-        odometry: TUM file, absolute; None: the data set's own, if there is one.
-        uses_odometry: False: whatever odometry there is, the run knows nothing of it.
-        settings: of the filter.
-        seed: of its random numbers.
+        scene: absolute path of the scene model.
+        dataset: absolute path of the data set.
+        odometry: absolute path of a TUM file; None: the data set's own odometry, if there is any.
+        uses_odometry: whether the run uses odometry at all.
+        settings: the filter's settings.
+        seed: seed of the filter's random numbers.
         inputs: name of an input -> SHA-256 of its content.
         key: SHA-256 of settings, seed and inputs.
     """
@@ -81,26 +81,26 @@ class SweepRun:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a run ended; one of the two is known.
+    """How a run ended: with a result or with a failure.
 
     Attributes:
-        result: of a run that came to its end, wherever that was.
-        failure: why there is no result, in one line.
+        result: of a run that was executed to its end; else None.
+        failure: one line that says why there is no result; else None.
     """
 
     result: RunResult | None
     failure: str | None = None
 
 
-class Bench:
-    """Makes runs one after the other; scenes and data sets stay loaded between them."""
+class RunExecutor:
+    """Executes runs one after the other; scenes and data sets stay loaded between them."""
 
     def __init__(self) -> None:
         self._scenes: dict[tuple[Path, str], Scene] = {}
         self._datasets: dict[tuple[Path, Path | None, str, str | None], Dataset] = {}
 
     def outcome(self, run: SweepRun) -> Outcome:
-        """Makes a run; whatever goes wrong in it is its outcome."""
+        """Executes a run; an error in it is its outcome."""
         try:
             return Outcome(self.result(run))
         except (LfnavError, OSError) as error:
@@ -108,15 +108,15 @@ class Bench:
         except MemoryError:
             return Outcome(None, "out of memory")
         except Exception as error:  # noqa: BLE001
-            # A defect of lfnav; it must not take the other runs with it.
+            # A defect of lfnav must not end the other runs.
             return Outcome(None, f"internal error, {type(error).__name__}: {error}")
 
     def result(self, run: SweepRun) -> RunResult:
-        """Makes a run.
+        """Executes a run.
 
         Raises:
             InputError: an input cannot be used.
-            OptionError: settings that make no sense for this scene.
+            OptionError: the settings do not fit the scene.
         """
         source = run.odometry if run.odometry is not None else run.dataset / ODOMETRY_FILE
         start = _cpu_seconds()
@@ -133,6 +133,7 @@ class Bench:
         return judged(finished, _cpu_seconds() - start)
 
     def _scene(self, run: SweepRun) -> Scene:
+        """The run's scene, loaded once."""
         place = (run.scene, run.inputs["scene"])
         if place not in self._scenes:
             check_unchanged(run.scene, scene_hash(run.scene), run.inputs["scene"])
@@ -140,6 +141,7 @@ class Bench:
         return self._scenes[place]
 
     def _dataset(self, run: SweepRun) -> Dataset:
+        """The run's data set with its odometry, loaded once."""
         place = (run.dataset, run.odometry, run.inputs["dataset"], run.inputs.get("odometry"))
         if place not in self._datasets:
             loaded = load_dataset(run.dataset, odometry=run.odometry)
@@ -154,6 +156,6 @@ class Bench:
 
 
 def _cpu_seconds() -> float:
-    """Processor time of this process and of those that it has waited for, as PnP's."""
+    """Processor time of this process and of finished child processes, as PnP's."""
     times = os.times()
     return times.user + times.system + times.children_user + times.children_system

@@ -1,4 +1,4 @@
-"""Finished runs of a sweep on disk: a small JSON file each, named after the run's key."""
+"""Stored results of a sweep: one JSON file for each finished run, named after the run's key."""
 
 import json
 import logging
@@ -20,17 +20,17 @@ _log = logging.getLogger(__name__)
 
 
 def result_path(folder: Path, run: SweepRun) -> Path:
-    """Where a run's result is kept."""
+    """Path of a run's stored result."""
     return folder / RUN_FOLDER / f"{run.key}.json"
 
 
 @dataclass(frozen=True)
-class Kept:
-    """A result of a run that was finished before.
+class StoredResult:
+    """The stored result of a finished run.
 
     Attributes:
-        result: what it came to.
-        program: ``program_hash`` of what made it.
+        result: the result.
+        program: ``program_hash`` of the program that computed it.
     """
 
     result: RunResult
@@ -38,13 +38,13 @@ class Kept:
 
 
 def save_result(folder: Path, run: SweepRun, result: RunResult, program: str) -> None:
-    """Keeps a result, whole or not at all.
+    """Stores a result; the file appears whole or not at all.
 
     Args:
         folder: of the sweep.
-        run: what went in.
-        result: what came out.
-        program: ``program_hash`` of what made it.
+        run: the run's inputs.
+        result: the run's result.
+        program: ``program_hash`` of the program that computed it.
 
     Raises:
         InputError: the file cannot be written.
@@ -62,8 +62,8 @@ def save_result(folder: Path, run: SweepRun, result: RunResult, program: str) ->
     write_text(result_path(folder, run), text, overwrite=True)
 
 
-def kept_result(folder: Path, run: SweepRun) -> Kept | None:
-    """The result of a run that was finished before; None where there is none that is intact."""
+def stored_result(folder: Path, run: SweepRun) -> StoredResult | None:
+    """The stored result of a run; None where there is no intact one."""
     path = result_path(folder, run)
     if not is_file(path):
         return None
@@ -72,7 +72,7 @@ def kept_result(folder: Path, run: SweepRun) -> Kept | None:
         content.choice("format", (FORMAT,))
         content.choice("key", (run.key,))
         result = JsonFields(path, content.get("result", dict), "result.")
-        return Kept(RunResult.of_json(result), content.get("program", str))
+        return StoredResult(RunResult.of_json(result), content.get("program", str))
     except InputError as error:
-        _log.warning("%s; the run is made again", error)
+        _log.warning("%s; the run is repeated", error)
         return None

@@ -1,4 +1,4 @@
-"""The table of a sweep: a line for each setup, over all of its seeds; as CSV, JSON and Markdown."""
+"""The table of a sweep: one line for each setup, over all seeds; as CSV, JSON and Markdown."""
 
 import csv
 import io
@@ -15,9 +15,9 @@ from pipelines.experiments.sweep_run import Setup
 from pipelines.localize.calibration import wilson_interval
 from pipelines.localize.trust import pooled_calibration_error
 
-# The share of runs that are no worse.
+# Shares of the runs that are no worse.
 QUANTILES = (0.1, 0.5, 0.9)
-# Measures of which the table has these quantiles: attribute of ``RunResult``, unit of the columns.
+# Attributes of ``RunResult`` of which the table has these quantiles.
 MEASURES = (
     "position_error_m",
     "heading_error_deg",
@@ -30,21 +30,21 @@ MEASURES = (
     "seconds_while_searching",
     "seconds_while_tracking",
 )
-# Measures of which it has the mean over the runs.
+# Attributes of ``RunResult`` of which it has the mean over the runs.
 MEANS = ("in_95_region", "close_share", "frames_blind", "confidence", "confidence_blind")
 
-# Frames that track the right place, none, or another one.
+# Kinds of frames: tracking the right place, tracking none, tracking a wrong one.
 KINDS = ("right", "silent", "wrong")
 
 
 @dataclass(frozen=True)
 class Line:
-    """What the runs of a setup came to.
+    """A line of the table: the runs of a setup.
 
     Attributes:
-        setup: what they have in common.
-        results: of those that came to an end.
-        broken: how many did not.
+        setup: what the runs have in common.
+        results: results of the runs that were executed to their end.
+        broken: number of runs that failed.
     """
 
     setup: Setup
@@ -53,12 +53,12 @@ class Line:
 
     @property
     def successes(self) -> int:
-        """How many runs succeeded."""
+        """Number of successful runs."""
         return sum(result.success for result in self.results)
 
     @property
     def success_rate(self) -> float:
-        """Share of the runs that came to an end; NaN where none did."""
+        """Share of successful runs among those with a result; NaN where there are none."""
         return self.successes / len(self.results) if self.results else math.nan
 
     @property
@@ -67,11 +67,14 @@ class Line:
         return wilson_interval(self.successes, len(self.results))
 
     def quantile(self, measure: str, share: float) -> float:
-        """The value that this share of the runs does not exceed.
+        """The value of a measure that a share of the runs does not exceed.
 
-        It is that of one of the runs. A run without an estimate is infinitely wrong, one that never
-        converged takes infinitely long; a time of something that never happened does not count. NaN
-        where no run has a value.
+        It is the value of one of the runs, and NaN where no run has one. An unknown error, or an
+        unknown number of frames, counts as infinite. An unknown time does not count.
+
+        Args:
+            measure: one of ``MEASURES``.
+            share: of the runs, 0 to 1.
         """
         values = [getattr(result, measure) for result in self.results]
         if "seconds" in measure:
@@ -84,35 +87,35 @@ class Line:
 
     @property
     def good_at_the_end(self) -> int:
-        """How many runs were good in their last frame: found again, if they were ever lost."""
+        """Number of runs whose last frame is good, recovered ones included."""
         return sum(result.frames_to_recover is not None for result in self.results)
 
     @property
     def wrong_at_the_end(self) -> int:
-        """How many runs have a wrong frame among their last ten."""
+        """Number of runs with a wrong frame among their last ten."""
         return sum(result.wrong_at_the_end for result in self.results)
 
     def frame_share(self, kind: str) -> float:
-        """Share of the frames with a truth that are ``right``, ``silent`` or ``wrong``; or NaN."""
+        """Share of the frames with ground truth that are of a kind, one of ``KINDS``; or NaN."""
         frames = sum(result.frames for result in self.results)
         found = sum(int(getattr(result, f"frames_{kind}")) for result in self.results)
         return found / frames if frames else math.nan
 
     @property
     def calibration_error(self) -> float:
-        """ECE of the confidence over the frames of all runs; NaN where there are none."""
+        """Expected calibration error of the confidence over all frames; NaN without any."""
         return pooled_calibration_error(
             [np.array(result.confidence_sums) for result in self.results]
         )
 
     def mean(self, measure: str) -> float:
-        """Mean over the runs that have a value; NaN where none has."""
+        """Mean of one of ``MEANS`` over the runs that have a value; NaN where none has."""
         values = [getattr(result, measure) for result in self.results]
         known = [float(value) for value in values if value is not None]
         return float(np.mean(known)) if known else math.nan
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain JSON types; what is unknown or infinite is null."""
+        """Plain JSON types; unknown and infinite values are null."""
         low, high = self.interval
         figures = {
             "success_rate": self.success_rate,
@@ -142,7 +145,7 @@ def lines_of(outcomes: Iterable[tuple[Setup, RunResult | None]]) -> tuple[Line, 
     """The lines of the table, in the order in which their setups first appear.
 
     Args:
-        outcomes: of all runs; None for one that broke.
+        outcomes: setup and result of each run; None for a run that failed.
     """
     groups: dict[Setup, list[RunResult | None]] = {}
     for setup, result in outcomes:
@@ -154,7 +157,7 @@ def lines_of(outcomes: Iterable[tuple[Setup, RunResult | None]]) -> tuple[Line, 
 
 
 def as_csv(lines: Sequence[Line]) -> str:
-    """One row a line, all figures."""
+    """The table as CSV, with all numbers."""
     rows = [line.to_dict() for line in lines]
     file = io.StringIO()
     writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
@@ -164,7 +167,7 @@ def as_csv(lines: Sequence[Line]) -> str:
 
 
 def as_json(lines: Sequence[Line], failures: Sequence[str]) -> str:
-    """The same, and the runs that broke."""
+    """The table as JSON, with all numbers and the failures."""
     content = {"lines": [line.to_dict() for line in lines], "failures": list(failures)}
     return json.dumps(content, indent=2, allow_nan=False) + "\n"
 
@@ -214,16 +217,16 @@ BLIND_HEADINGS = (
 
 
 def rows_for_people(lines: Sequence[Line]) -> list[tuple[str, ...]]:
-    """The most telling figures, a row a line, headings first."""
+    """The most important numbers, one row a line, headings first."""
     return [HEADINGS, *(_row(line) for line in lines)]
 
 
 def as_markdown(lines: Sequence[Line], failures: Sequence[str]) -> str:
-    """The same as a table, with an explanation, and the runs that broke."""
-    text = [*_markdown_table(rows_for_people(lines), texts=4), "", EXPLANATION]
+    """The most important numbers as a Markdown table, with an explanation and the failures."""
+    text = [*markdown_table(rows_for_people(lines), texts=4), "", EXPLANATION]
     blind = [_blind_row(line) for line in lines if line.mean("frames_blind") > 0.0]
     if blind:
-        text += ["", *_markdown_table([BLIND_HEADINGS, *blind], texts=3)]
+        text += ["", *markdown_table([BLIND_HEADINGS, *blind], texts=3)]
         text += ["", "How many images were found to show nothing: means of the runs."]
     if failures:
         text += ["", f"Runs that broke: {len(failures)}.", "", *(f"- {item}" for item in failures)]
@@ -231,6 +234,7 @@ def as_markdown(lines: Sequence[Line], failures: Sequence[str]) -> str:
 
 
 def _row(line: Line) -> tuple[str, ...]:
+    """A row of the table with ``HEADINGS``."""
     low, high = line.interval
     setup, runs = line.setup, len(line.results)
     success = f"{line.successes} of {runs}"
@@ -252,46 +256,54 @@ def _row(line: Line) -> tuple[str, ...]:
         f"{line.good_at_the_end} of {runs}",
         _two(line, "frames_to_recover", 1.0, 0),
         _share(line.mean("in_95_region")),
-        ", ".join(_figure(100.0 * line.frame_share(kind), 0) for kind in KINDS),
+        ", ".join(number_text(100.0 * line.frame_share(kind), 0) for kind in KINDS),
         f"{line.wrong_at_the_end} of {runs}",
-        _figure(line.calibration_error, 2),
-        _figure(line.quantile("cpu_seconds_per_frame", 0.5), 3),
+        number_text(line.calibration_error, 2),
+        number_text(line.quantile("cpu_seconds_per_frame", 0.5), 3),
     )
 
 
 def _blind_row(line: Line) -> tuple[str, ...]:
+    """A row of the table with ``BLIND_HEADINGS``."""
     setup = line.setup
     return (
         setup.dataset,
         setup.odometry,
         setup.contender,
-        _figure(line.mean("frames_blind"), 1),
-        _figure(line.mean("confidence_blind"), 2),
-        _figure(line.mean("confidence"), 2),
+        number_text(line.mean("frames_blind"), 1),
+        number_text(line.mean("confidence_blind"), 2),
+        number_text(line.mean("confidence"), 2),
     )
 
 
 def _share(value: float) -> str:
+    """A share in percent; "-" where it is unknown."""
     return "-" if math.isnan(value) else f"{100.0 * value:.0f} %"
 
 
 def _two(line: Line, measure: str, factor: float, digits: int) -> str:
     """Median and 90th percentile."""
     values = (factor * line.quantile(measure, share) for share in (0.5, 0.9))
-    return ", ".join(_figure(value, digits) for value in values)
+    return ", ".join(number_text(value, digits) for value in values)
 
 
-def _figure(value: float, digits: int) -> str:
+def number_text(value: float, digits: int) -> str:
+    """A number of a table: "-" where it is unknown, "never" where it is infinite."""
     if math.isnan(value):
         return "-"
     return "never" if math.isinf(value) else f"{value:.{digits}f}"
 
 
-def _markdown_table(rows: Sequence[tuple[str, ...]], texts: int) -> list[str]:
-    """Lines of a table whose first columns hold texts, the others numbers; headings first."""
+def markdown_table(rows: Sequence[tuple[str, ...]], texts: int) -> list[str]:
+    """Lines of a Markdown table.
+
+    Args:
+        rows: headings first.
+        texts: number of the first columns that hold text and are aligned left; the others hold
+            numbers.
+    """
     alignment = ("---",) * texts + ("---:",) * (len(rows[0]) - texts)
-    return [_markdown_row(row) for row in (rows[0], alignment, *rows[1:])]
-
-
-def _markdown_row(cells: Sequence[str]) -> str:
-    return f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |"
+    return [
+        f"| {' | '.join(cell.replace('|', '/') for cell in row)} |"
+        for row in (rows[0], alignment, *rows[1:])
+    ]

@@ -1,8 +1,8 @@
 """Runs of a sweep on this machine: one process a processor, each with one thread.
 
-Processes of its own, and not a pool of the standard library: when one dies (killed for want of
-memory), it is known which run it was making, and the others go on; and when this process is killed,
-they notice and end.
+The processes are no pool of the standard library. When one dies (killed for lack of memory), the
+run that it was executing is known and the others go on. When the parent process is killed, they end
+too.
 """
 
 import multiprocessing
@@ -15,27 +15,27 @@ from multiprocessing.context import SpawnProcess
 
 import cv2
 
-from pipelines.experiments.sweep_run import Bench, Outcome, SweepRun
+from pipelines.experiments.sweep_run import Outcome, RunExecutor, SweepRun
 
 
 @dataclass(frozen=True)
 class _Worker:
-    """A process and this end of the pipe to it."""
+    """A process and the parent's end of the pipe to it."""
 
     process: SpawnProcess
     connection: Connection
 
 
 def run_locally(runs: Sequence[SweepRun], processes: int) -> Iterator[tuple[SweepRun, Outcome]]:
-    """Makes runs in several processes at once.
+    """Executes runs in several processes at once.
 
     Args:
-        runs: begun in this order.
-        processes: at least 1.
+        runs: the runs, started in this order.
+        processes: number of processes, at least 1.
 
     Yields:
         Each run with its outcome, in the order in which they end. Closing the iterator stops those
-        that are under way.
+        in progress.
     """
     waiting = deque(runs)
     workers: list[_Worker] = []
@@ -69,39 +69,40 @@ def run_locally(runs: Sequence[SweepRun], processes: int) -> Iterator[tuple[Swee
 
 
 def _started() -> _Worker:
-    """A new process; not forked, since threads do not survive that."""
+    """Starts a process; not by a fork, which threads do not survive."""
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe()
     process = context.Process(target=_serve, args=(there,), daemon=True)
     process.start()
-    # Now the other side is the only one that holds it: its death ends the pipe.
+    # The child now holds the only copy of its end: when it dies, the pipe closes.
     there.close()
     return _Worker(process, here)
 
 
 def _serve(connection: Connection) -> None:
-    """What a process does: runs, until nobody asks for more."""
-    # Ctrl-C reaches the whole group; whoever started this process ends it.
+    """Main function of a process: executes runs until the pipe closes."""
+    # Ctrl-C reaches the whole process group; the parent ends this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     cv2.setNumThreads(1)
-    bench = Bench()
+    executor = RunExecutor()
     try:
         while True:
-            connection.send(bench.outcome(connection.recv()))
+            connection.send(executor.outcome(connection.recv()))
     except (EOFError, OSError):
         return
 
 
 def _send(worker: _Worker, run: SweepRun) -> None:
+    """Sends a run to a process."""
     try:
         worker.connection.send(run)
     except OSError:
-        # It has died; receiving from it will tell.
+        # It has died; ``_received`` will say so.
         return
 
 
 def _received(worker: _Worker) -> Outcome | None:
-    """What a process sent; None where it has died."""
+    """The outcome that a process sent; None where it has died."""
     try:
         outcome = worker.connection.recv()
     except (EOFError, OSError):
@@ -110,6 +111,7 @@ def _received(worker: _Worker) -> Outcome | None:
 
 
 def _death(exit_code: int | None) -> str:
+    """The failure of a run whose process died."""
     if exit_code is not None and exit_code < 0:
         name = signal.Signals(-exit_code).name
         return f"its process was ended by {name}; SIGKILL often means that memory ran out"

@@ -1,7 +1,7 @@
-"""What a view-independent texture would show: one colour a surface point, whoever looks at it.
+"""A view-independent texture: one colour a surface point, from wherever it is viewed.
 
-The best that a classical model, geometry with a texture, can do: at each surface point the mean or
-the median colour over all photos that see the point.
+This is the best that a textured mesh can do: at each surface point, the mean or the median colour
+over all photos that see the point.
 """
 
 from typing import NamedTuple
@@ -22,7 +22,7 @@ class TextureColours(NamedTuple):
 
     Attributes:
         mean: ``(P, 3)`` RGB, zero where no view sees the point.
-        median: ``(P, 3)`` likewise, of each channel.
+        median: ``(P, 3)`` RGB, the median of each channel; zero where no view sees the point.
         seen_by: ``(P,)`` number of views that see the point.
     """
 
@@ -41,16 +41,16 @@ def texture_colours(
 ) -> TextureColours:
     """View-independent colours of the surface points behind some pixels of a virtual camera.
 
-    Each point is looked up in every view that sees it: inside the image, in front of the camera,
-    and not hidden by what the view's depth map shows, with the tolerance of the light field. Photos
-    are sampled at the resolution of the virtual camera, as the light field does.
+    A view sees a point that is inside its image, in front of its camera, and not occluded by its
+    depth map, with the tolerance of the light field. Photos are sampled at the resolution of the
+    virtual camera, as the light field does.
 
     Args:
         views: the photos.
-        usable: ``(N,)`` views that may take part.
-        pixels: ``(P, 2)`` columns and rows.
-        inverse_depth: ``(P,)`` of the surface there; 0: no surface.
-        world_from_camera: ``(4, 4)``.
+        usable: ``(N,)`` True for views that are used.
+        pixels: ``(P, 2)`` columns and rows in the virtual camera.
+        inverse_depth: ``(P,)`` inverse depth of the surface at these pixels; 0: no surface.
+        world_from_camera: ``(4, 4)`` pose of the virtual camera.
         intrinsics: of the virtual camera.
     """
     mapping = ViewMapping.of(views, world_from_camera, intrinsics)
@@ -69,7 +69,7 @@ def texture_colours(
     count = seen.sum(axis=0)
     total = np.where(seen[..., None], colours, 0.0).sum(axis=0)
     mean = total / np.maximum(count, 1)[:, None]
-    # Missing colours are infinite: sorted, the first ``count`` are those that were seen.
+    # Missing colours are infinite, so that the first ``count`` sorted ones are those seen.
     ordered = np.sort(colours, axis=0)
     middle = [np.maximum(count - 1, 0) // 2, np.minimum(count // 2, len(views) - 1)]
     low, high = (np.take_along_axis(ordered, place[None, :, None], axis=0)[0] for place in middle)

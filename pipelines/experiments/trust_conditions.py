@@ -1,4 +1,4 @@
-"""What the study of trust runs: conditions, from a TOML file.
+"""Conditions of the study of trust, from a TOML file.
 
 ```toml
 [study]
@@ -11,23 +11,25 @@ lobby = "../../out/scene.h5"             # relative to this file
 [[condition]]                            # one table for each
 name = "control"
 scene = "lobby"                          # one of [scenes]
-path = "../../drives/lobby"              # relative to this file; or, instead of it,
+path = "../../sequences/lobby"           # relative to this file; or, instead of it,
 data = "lobby_days/control_left"         # relative to the folder that is given with --data
-odometry = ["odometry.txt"]              # optional; relative to the data set; "none": do without
-method = ["filter", "pnp"]               # optional; pnp: each image for itself, by features
+odometry = ["odometry.txt"]              # optional; relative to the data set; "none": no odometry
+method = ["filter", "pnp"]               # optional; pnp: features of single images
 elsewhere = false                        # optional; true: the images show another place
 seeds = "0-4"                            # optional; instead of those of [study]
-starts = 5                               # optional: each frame for itself, started so many times
-                                         # around its true pose, as far away as [start] says
+starts = 5                               # optional: localize each frame alone, with this many
+                                         # random starts around its true pose, of the standard
+                                         # deviations in [start]
 
-[condition.start]                        # optional, as other sections of a config of lfnav
-position_sigma = 0.3                     # localize; so may stand at the end, for all conditions
+[condition.start]                        # optional: this and other sections as in a config of
+position_sigma = 0.3                     # lfnav localize, for this condition
 
-[filter]
+
+[filter]                                 # optional: the same sections, for all conditions
 particles = 195
 ```
 
-A condition of which the folder of ``data`` is absent is skipped, and the table says so.
+A condition whose folder ``data`` is absent is skipped, and the table says so.
 """
 
 from collections.abc import Mapping
@@ -44,15 +46,9 @@ from pipelines.experiments.config_tables import (
     checked_table,
     named_seeds,
     read_seeds,
-    refuse_twice,
+    refuse_duplicates,
 )
-from pipelines.localize.config import (
-    Choices,
-    check_choices,
-    overridden,
-    read_choices,
-    settings_of,
-)
+from pipelines.localize.config import Choices, check_choices, overridden, read_choices, settings_of
 from pipelines.localize.config_keys import SECTIONS
 from pipelines.localize.settings import METHODS, LocalizerSettings
 from pipelines.localize.stage import NO_ODOMETRY
@@ -75,19 +71,20 @@ MAX_STARTS = 1000
 
 @dataclass(frozen=True)
 class Condition:
-    """A drive under some circumstances.
+    """A sequence, and how it is localized.
 
     Attributes:
-        name: what the table calls it.
-        scene: scene model, absolute.
-        dataset: absolute.
-        odometry: TUM files, absolute; None: the data set's own; ``NO_ODOMETRY``: none.
+        name: name in the table.
+        scene: absolute path of the scene model.
+        dataset: absolute path of the sequence.
+        odometry: absolute paths of TUM files; None: the data set's own; ``NO_ODOMETRY``: none.
         methods: ``filter`` or ``pnp``, or both.
-        seeds: of the filter, and of the starts.
-        settings: of the filter.
+        seeds: seeds of the filter and of the starts.
+        settings: the filter's settings.
         is_elsewhere: whether the images show another place than the scene.
-        starts: how often each frame is localized for itself; 0: the drive is, as a whole.
-        channels: in each of which the filter compares images; empty: as the settings say.
+        starts: number of starts from which each frame is localized alone; 0: the whole sequence is
+            localized.
+        channels: image channels, with each of which the filter runs; empty: those of ``settings``.
     """
 
     name: str
@@ -104,11 +101,11 @@ class Condition:
 
 @dataclass(frozen=True)
 class TrustConditions:
-    """All of a file.
+    """The conditions of a file.
 
     Attributes:
-        conditions: at least one, but for those that are skipped.
-        skipped: names of conditions whose data are absent.
+        conditions: those whose data are present.
+        skipped: names of those whose data are absent.
     """
 
     conditions: tuple[Condition, ...]
@@ -126,14 +123,15 @@ def read_trust_conditions(
 
     Args:
         path: the TOML file.
-        data: the folder that ``data`` of a condition is relative to; None: there is none.
-        scenes: take the place of those of the same name in the file.
-        seeds: take the place of all in the file: ``"0-19"`` or ``"3,4,8"``.
+        data: folder that ``data`` of a condition is relative to; None: conditions with ``data`` are
+            skipped.
+        scenes: scene models that replace those of the same name in the file.
+        seeds: seeds that replace all in the file: ``"0-19"`` or ``"3,4,8"``.
 
     Raises:
-        InputError: unreadable; unknown or missing keys; values of the wrong type or impossible
-            ones; a scene or a drive that is not there.
-        OptionError: ``seeds`` names no seeds, or ``scenes`` a scene that the file does not know.
+        InputError: the file is unreadable, or has unknown or missing keys, or values of the wrong
+            type or range; or a scene or a sequence is missing.
+        OptionError: ``seeds`` has another form, or ``scenes`` a name that the file does not have.
     """
     content = read_toml(path)
     rest = {key: value for key, value in content.items() if key in SECTIONS}
@@ -147,7 +145,7 @@ def read_trust_conditions(
     places = _scenes(path, content.get("scenes", {}), scenes or {})
     tables = content.get("condition", [])
     if not isinstance(tables, list) or not tables:
-        raise InputError(path, "names no condition", "write [[condition]] and its keys below")
+        raise InputError(path, "has no condition", "write [[condition]] and its keys below")
     conditions, skipped = [], []
     for number, table in enumerate(tables, start=1):
         place = f"condition {number}"
@@ -173,7 +171,7 @@ def read_trust_conditions(
             continue
         _check_inputs(path, place, condition)
         conditions.append(condition)
-    refuse_twice(path, "two conditions have the same name", [*_names(conditions), *skipped])
+    refuse_duplicates(path, "two conditions have the same name", [*_names(conditions), *skipped])
     return TrustConditions(tuple(conditions), tuple(skipped))
 
 
@@ -211,7 +209,7 @@ def _dataset(path: Path, place: str, values: Mapping[str, Any], data: Path | Non
     name = _text(path, place, values, "data")
     if Path(name).is_absolute() or ".." in Path(name).parts:
         raise InputError(path, f"{place}: data {name!r} leads out of the folder of --data")
-    # Without a folder it lies nowhere; the condition is skipped.
+    # Without a folder the path does not exist, and the condition is skipped.
     return absolute_path(path.parent / "no folder is given" if data is None else data, name)
 
 
@@ -223,7 +221,7 @@ def _odometry(
     files = checked_list(path, f"{place}: odometry", values["odometry"])
     if not all(isinstance(file, str) and file for file in files):
         raise InputError(path, f"{place}: odometry is not a list of file names")
-    refuse_twice(path, f"{place}: odometry", files)
+    refuse_duplicates(path, f"{place}: odometry", files)
     return tuple(
         NO_ODOMETRY if file == str(NO_ODOMETRY) else absolute_path(dataset, file) for file in files
     )
@@ -234,7 +232,7 @@ def _methods(path: Path, place: str, values: Mapping[str, Any]) -> tuple[str, ..
     for method in methods:
         if method not in METHODS:
             raise InputError(path, f"{place}: method is not one of {', '.join(METHODS)}")
-    refuse_twice(path, f"{place}: method", methods)
+    refuse_duplicates(path, f"{place}: method", methods)
     return tuple(methods)
 
 
@@ -245,7 +243,7 @@ def _channels(path: Path, study: Mapping[str, Any]) -> tuple[Channels, ...]:
     names = checked_list(path, "[study] channels", study["channels"])
     if not all(isinstance(name, str) and name in known for name in names):
         raise InputError(path, f"[study] channels are not some of {', '.join(known)}")
-    refuse_twice(path, "[study] channels", names)
+    refuse_duplicates(path, "[study] channels", names)
     return tuple(known[name] for name in names)
 
 
@@ -276,7 +274,7 @@ def _check_inputs(path: Path, place: str, condition: Condition) -> None:
     if not condition.scene.is_file():
         raise InputError(condition.scene, f"is missing: the scene of {place} in {path}")
     if not condition.dataset.is_dir():
-        raise InputError(condition.dataset, f"is missing: the drive of {place} in {path}")
+        raise InputError(condition.dataset, f"is missing: the sequence of {place} in {path}")
     has_truth = (condition.dataset / GROUNDTRUTH_FILE).is_file()
     if not has_truth and not condition.is_elsewhere:
         raise InputError(

@@ -18,13 +18,13 @@ PANEL_WIDTH, HEIGHT = 3.6, 4.6
 
 
 def write_reliability(path: Path, rows: Sequence[Row]) -> None:
-    """Writes a PNG with a panel for each row: how often each confidence is right, and how common.
+    """Writes a reliability diagram: for each row, how often each confidence is right.
 
     Args:
-        path: the PNG.
-        rows: at least one.
+        path: of the PNG.
+        rows: rows of the table, at least one.
     """
-    # Names come from other people's files: "$" must not start a formula there.
+    # Names come from users' files: "$" must not start a formula in them.
     with mpl.rc_context(
         {"font.family": ["DejaVu Sans"], "font.size": 9.0, "text.parse_math": False}
     ):
@@ -62,7 +62,7 @@ def reliability_figure(rows: Sequence[Row]) -> Figure:
 
 
 def _draw(axes: Axes, bins: Sequence[Bin], label: str, style: tuple[str, str]) -> None:
-    """Bins that hold something, each at its mean confidence."""
+    """Draws the bins that hold frames, each at its mean confidence."""
     colour, marker = style
     known = [item for item in bins if item.forecasts]
     values = np.array([[item.mean, item.share, *item.interval] for item in known]).reshape(-1, 4)

@@ -28,23 +28,23 @@ def study_trust(
     """Localizes under many conditions, and writes a table and the reliability diagram.
 
     Args:
-        conditions_path: see ``trust_conditions``.
+        conditions_path: TOML file of the format that ``trust_conditions`` describes.
         output: folder for ``table.md``, ``table.json`` and ``reliability.png``.
-        data: the folder of the drives that are named by ``data``; None: those are skipped.
-        scenes: scene models that take the place of those of the same name in the file.
-        seeds: take the place of those in the file.
-        workers: processes.
+        data: folder of the sequences given by ``data``; None: their conditions are skipped.
+        scenes: scene models that replace those of the same name in the file.
+        seeds: seeds that replace those in the file; None: those in the file.
+        workers: number of processes.
         overwrite: whether the output may be replaced.
-        progress: told how far the work is.
+        progress: wraps loops to report progress.
 
     Returns:
-        What was run, and what was skipped.
+        The conditions that were run and those that were skipped.
 
     Raises:
         InputError: a file cannot be used, all conditions are skipped, or the output cannot be
             written.
-        OptionError: options that make no sense.
-        StageError: a condition cannot be run.
+        OptionError: invalid seeds, scenes or number of workers.
+        StageError: the runs of a condition failed.
     """
     chosen = read_trust_conditions(conditions_path, data=data, scenes=scenes, seeds=seeds)
     if not chosen.conditions:

@@ -1,4 +1,4 @@
-"""Runs under many conditions, and whether what they state can be trusted."""
+"""Whether status and confidence of a run can be trusted: runs under many conditions."""
 
 import multiprocessing
 from collections.abc import Iterator, Sequence
@@ -32,14 +32,14 @@ from pipelines.render.channels import Channels
 
 @dataclass(frozen=True)
 class Task:
-    """What one process does at a time: all runs of a row of the table.
+    """The runs of one row of the table, which one process executes.
 
     Attributes:
-        condition: drive and circumstances.
-        odometry: one of its files.
-        method: one of its methods.
-        channels: one of its channels; None: as its settings say.
-        threads: of the filter.
+        condition: sequence and settings.
+        odometry: one of the condition's odometry files.
+        method: one of the condition's methods.
+        channels: one of the condition's channels; None: those of its settings.
+        threads: number of threads of the filter.
     """
 
     condition: Condition
@@ -50,19 +50,19 @@ class Task:
 
     @property
     def odometry_name(self) -> str:
-        """What the table calls the odometry; that of single frames is not used."""
+        """Name of the odometry in the table; "-" where it is not used, as by single frames."""
         if self.method == "pnp" or self.condition.starts:
             return "-"
         return ODOMETRY_FILE if self.odometry is None else self.odometry.name
 
     @property
     def method_name(self) -> str:
-        """What the table calls the method."""
+        """Name of method and channels in the table."""
         return self.method if self.channels is None else f"{self.method}, {self.channels.value}"
 
     @property
     def settings(self) -> LocalizerSettings:
-        """The condition's, with this method and these channels."""
+        """The condition's settings with this method and these channels."""
         own = replace(self.condition.settings, threads=self.threads)
         if self.method == "pnp":
             return replace(own, method="pnp", with_pnp=False, proposal="appearance", start=None)
@@ -73,16 +73,16 @@ class Task:
 
 @dataclass(frozen=True)
 class Row:
-    """What the runs of a task came to.
+    """A row of the table: the runs of a task.
 
     Attributes:
-        name: of the condition.
-        odometry: name of the file.
-        method: ``filter`` or ``pnp``, and the channels that the condition names.
-        is_elsewhere: whether the images show another place.
-        successes: how many runs succeeded; None where none can.
-        trust: the frames of all runs.
-        is_of_single_frames: whether each run is one frame, started around its true pose.
+        name: name of the condition.
+        odometry: name of the odometry file; "-" where none is used.
+        method: ``filter`` or ``pnp``, and the channels where the condition has several.
+        is_elsewhere: whether the images show another place than the scene.
+        successes: number of successful runs; None where none can succeed.
+        trust: status and confidence of the frames of all runs, with their errors.
+        is_of_single_frames: whether each run is a single frame, started around its true pose.
     """
 
     name: str
@@ -96,7 +96,7 @@ class Row:
 
 @dataclass(frozen=True)
 class _Outcome:
-    """Of a task; one of the two is known, since not every error survives between processes."""
+    """Row or failure of a task; a text, since not every exception can be sent between processes."""
 
     row: Row | None
     failure: str | None = None
@@ -105,16 +105,16 @@ class _Outcome:
 def rows_of(
     conditions: Sequence[Condition], *, workers: int, progress: Progress
 ) -> tuple[Row, ...]:
-    """Makes all runs.
+    """Executes all runs.
 
     Args:
-        conditions: of which each gives a row for each odometry file, method and choice of channels.
-        workers: processes; 1: this one.
-        progress: told how far the work is.
+        conditions: each gives a row for each odometry file, method and choice of channels.
+        workers: number of processes; 1: this process.
+        progress: wraps the loop over rows to report progress.
 
     Raises:
         OptionError: no workers.
-        StageError: a condition cannot be run; says which and why.
+        StageError: the runs of a condition failed; the message names it.
     """
     if workers < 1:
         raise OptionError(f"{workers} workers cannot do any work; give at least 1")
@@ -130,7 +130,7 @@ def rows_of(
 
 
 def tasks_of(conditions: Sequence[Condition], threads: int) -> tuple[Task, ...]:
-    """The rows of the table: PnP uses neither odometry nor channels, and has one all the same."""
+    """The rows of the table; PnP uses neither odometry nor channels and has one a condition."""
     return tuple(
         Task(condition, odometry, method, channels, threads)
         for condition in conditions
@@ -141,11 +141,11 @@ def tasks_of(conditions: Sequence[Condition], threads: int) -> tuple[Task, ...]:
 
 
 def row_of(task: Task) -> Row:
-    """Makes the runs of a task, with scene and data set loaded once.
+    """Executes the runs of a task, with scene and data set loaded once.
 
     Raises:
         InputError: an input cannot be used.
-        OptionError: settings that make no sense for this scene.
+        OptionError: the settings do not fit the scene.
     """
     condition = task.condition
     scene = load_scene(condition.scene)
@@ -177,13 +177,14 @@ def row_of(task: Task) -> Row:
 def disturbed_starts(
     dataset: Dataset, settings: LocalizerSettings, starts: int, seeds: Sequence[int]
 ) -> Iterator[tuple[Dataset, LocalizerSettings, int]]:
-    """Single frames, each with starts that are drawn around its true pose.
+    """Single frames, each with random starts around its true pose.
 
     Args:
-        dataset: with ground truth; frames without a true pose are left out.
-        settings: how far away starts lie, which is also what the filter is told.
-        starts: of each frame and seed.
-        seeds: of what is drawn.
+        dataset: data set with ground truth; frames without a true pose are left out.
+        settings: the filter's settings; their standard deviations of the start are those by which
+            starts are drawn.
+        starts: number of starts for each frame and seed.
+        seeds: seeds of the random starts.
 
     Yields:
         A data set of one frame, settings with its start, and a seed for the filter.
@@ -215,8 +216,17 @@ def disturbed_starts(
 def _runs(
     scene: Scene, dataset: Dataset, settings: LocalizerSettings, task: Task, source: Path
 ) -> Iterator[Run]:
+    """The runs of a task.
+
+    Args:
+        scene: the scene model.
+        dataset: the sequence with its odometry.
+        settings: the filter's settings.
+        task: the task.
+        source: path of the odometry, for messages.
+    """
     condition = task.condition
-    # The same image has the same pose by features, whatever the seed.
+    # PnP does not depend on the seed.
     seeds = condition.seeds[:1] if task.method == "pnp" else condition.seeds
     chosen: Iterator[tuple[Dataset, LocalizerSettings, int]] = (
         (dataset, settings, seed) for seed in seeds
@@ -237,6 +247,7 @@ def _runs(
 
 
 def _outcome(task: Task) -> _Outcome:
+    """Executes a task; an error in it is its outcome."""
     try:
         return _Outcome(row_of(task))
     except (LfnavError, OSError) as error:
@@ -246,10 +257,15 @@ def _outcome(task: Task) -> _Outcome:
 
 
 def _outcomes(tasks: Sequence[Task], workers: int) -> Iterator[_Outcome]:
+    """Executes tasks; yields their outcomes in order.
+
+    Raises:
+        StageError: a process was killed.
+    """
     if workers == 1:
         yield from map(_outcome, tasks)
         return
-    # Not forked, since threads do not survive that.
+    # Not by a fork, which threads do not survive.
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, mp_context=context) as pool:
         try:

@@ -1,10 +1,11 @@
-"""The table of the study of trust: a line a condition, and what all of them come to."""
+"""The table of the study of trust: one line a condition, and their sums; Markdown and JSON."""
 
 import json
 import math
 from collections.abc import Sequence
 from typing import Any
 
+from pipelines.experiments.sweep_tables import markdown_table, number_text
 from pipelines.experiments.trust_study import Row
 from pipelines.localize.trust import Trust, pooled
 
@@ -38,10 +39,10 @@ IN_THE_MAP, ELSEWHERE, ALL = "all, in the map", "all, elsewhere", "all"
 
 
 def sums_of(rows: Sequence[Row]) -> tuple[Row, ...]:
-    """What the rows of a method come to together: those in the map, those elsewhere, and all.
+    """The sums of all rows of a method: those in the map, those elsewhere, and all.
 
-    Single frames are left out: their start is given. Runs with other degrees of freedom have sums
-    of their own.
+    Rows of single frames are left out, since their start is given. Runs with other degrees of
+    freedom have sums of their own.
     """
     drives = [row for row in rows if not row.is_of_single_frames]
     keys = dict.fromkeys((row.method, row.trust.degrees_of_freedom) for row in drives)
@@ -53,7 +54,7 @@ def sums_of(rows: Sequence[Row]) -> tuple[Row, ...]:
         suffix = "" if freedom == 3 else f", {freedom} degrees of freedom"
         for name, is_elsewhere in ((IN_THE_MAP, False), (ELSEWHERE, True), (ALL, None)):
             chosen = [row for row in own if is_elsewhere in (None, row.is_elsewhere)]
-            # All are no other rows than one of the two before.
+            # A sum of all that repeats one of the other two is left out.
             if chosen and not (is_elsewhere is None and len({r.is_elsewhere for r in own}) == 1):
                 found.append(_sum(name + suffix, method, chosen))
     return tuple(found)
@@ -61,17 +62,15 @@ def sums_of(rows: Sequence[Row]) -> tuple[Row, ...]:
 
 def as_markdown(rows: Sequence[Row], skipped: Sequence[str]) -> str:
     """The table, with an explanation and what was skipped."""
-    alignment = ["---"] * 3 + ["---:"] * (len(HEADINGS) - 3)
-    lines = [HEADINGS, alignment, *(_cells(row) for row in (*rows, *sums_of(rows)))]
-    text = [f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |" for cells in lines]
-    text += ["", EXPLANATION]
+    cells = [_cells(row) for row in (*rows, *sums_of(rows))]
+    text = [*markdown_table([HEADINGS, *cells], texts=3), "", EXPLANATION]
     if skipped:
         text += ["", f"Skipped, since their data are absent: {', '.join(skipped)}."]
     return "\n".join(text) + "\n"
 
 
 def as_json(rows: Sequence[Row], skipped: Sequence[str]) -> str:
-    """The same for programs, with the data of the reliability diagrams."""
+    """The table as JSON, with the data of the reliability diagrams."""
     content = {
         "conditions": [_values(row) for row in rows],
         "sums": [_values(row) for row in sums_of(rows)],
@@ -81,14 +80,16 @@ def as_json(rows: Sequence[Row], skipped: Sequence[str]) -> str:
 
 
 def _sum(name: str, method: str, rows: Sequence[Row]) -> Row:
+    """The sum of several rows."""
     successes = [row.successes for row in rows if row.successes is not None]
     is_elsewhere = all(row.is_elsewhere for row in rows)
-    # Where some runs cannot succeed, a number of those that did would be misread.
+    # Where some runs cannot succeed, a number of successes would be misleading.
     total = sum(successes) if len(successes) == len(rows) else None
     return Row(name, "-", method, is_elsewhere, total, pooled([row.trust for row in rows]))
 
 
 def _values(row: Row) -> dict[str, Any]:
+    """A row as plain JSON types."""
     return {
         "condition": row.name,
         "odometry": row.odometry,
@@ -100,6 +101,7 @@ def _values(row: Row) -> dict[str, Any]:
 
 
 def _cells(row: Row) -> tuple[str, ...]:
+    """A row of the Markdown table."""
     trust = row.trust
     shares = (trust.share(kind) for kind in (trust.right, trust.silent, trust.wrong))
     return (
@@ -107,11 +109,11 @@ def _cells(row: Row) -> tuple[str, ...]:
         row.odometry,
         row.method,
         "-" if row.successes is None else f"{row.successes} of {trust.runs}",
-        *(_figure(100.0 * share, 1) for share in shares),
+        *(number_text(100.0 * share, 1) for share in shares),
         f"{trust.runs_wrong_at_the_end} of {trust.runs}",
         _errors(trust),
         _percent(trust.in_region),
-        _figure(trust.calibration_error, 3),
+        number_text(trust.calibration_error, 3),
         _percent(trust.share(trust.sure)),
         _percent(trust.sure_not_close),
         _percent(trust.sure_wrong),
@@ -125,7 +127,3 @@ def _errors(trust: Trust) -> str:
 
 def _percent(share: float) -> str:
     return "-" if math.isnan(share) else f"{100.0 * share:.1f} %"
-
-
-def _figure(value: float, digits: int) -> str:
-    return "-" if math.isnan(value) else f"{value:.{digits}f}"

@@ -1,11 +1,10 @@
-"""What view-dependent appearance is worth: a light field beside a view-independent texture.
+"""The benefit of view-dependent appearance: a light field against a view-independent texture.
 
-On surfaces that mirror, what a point looks like depends on where one stands. A texture has one
-colour a point; a light field shows each point as the photos taken from near the virtual camera saw
-it. Both are compared on flat parts of a scene that are known exactly, over the same geometry, with
-photos that the scene does not hold. The geometry is the depth found from the photos, the true depth
-of the parts, and the scene's plane: a mirror image has a depth of its own, behind the surface, so
-that the true depth need not be the best.
+On specular surfaces the colour of a point depends on the viewpoint. A texture has one colour a
+point; a light field shows each point as photos from near the virtual camera saw it. Both are
+compared over the same geometry on flat parts of a scene, with held-out photos. The geometry is the
+depth computed from the photos, the true depth of the parts, or the scene's plane. A mirror image
+has a depth of its own, behind the surface, so that the true depth need not be the best.
 """
 
 from collections.abc import Iterator, Sequence
@@ -32,22 +31,22 @@ GEOMETRIES = {
     "plane": "one plane",
 }
 RULES = {"light_field": "light field", "mean": "mean texture", "median": "median texture"}
-# Every so many rows and columns of a photo count: neighbouring pixels say the same.
+# One in this many rows and columns of a photo is compared: neighbouring pixels are similar.
 STEP = 2
 # A photo counts when the parts fill at least this share of it.
 SMALLEST_SHARE = 0.02
-# What a view sees so many times nearer than a part stands before it and keeps its depth.
+# Depth of a view that is nearer than a part by more than this factor belongs to something in front.
 IN_FRONT = 1.1
 
 
 @dataclass(frozen=True)
 class PartViews:
-    """What each geometry and rule shows at the pixels of a photo that look at the parts.
+    """A photo's pixels of the parts, rendered by each geometry and rule.
 
     Attributes:
-        shown: ``(H, W)`` those pixels, as far as all of them cover them.
-        share: of the photo that looks at the parts.
-        images: (geometry, rule) -> ``(H, W, 3)`` RGB; zero elsewhere.
+        shown: ``(H, W)`` pixels that show the parts and that all geometries and rules cover.
+        share: share of the photo that shows the parts.
+        images: (geometry, rule) -> ``(H, W, 3)`` RGB; zero at other pixels.
     """
 
     shown: BoolArray
@@ -60,9 +59,9 @@ class ViewDependence:
     """PSNR on the parts, for the photos of one held-out set that show enough of them.
 
     Attributes:
-        name: of the set.
-        photos: ``(F,)`` their numbers in the set.
-        psnr_db: (geometry, rule) -> ``(F,)``, each after one brightness factor.
+        name: name of the set.
+        photos: numbers of these photos in the set, ``F`` of them.
+        psnr_db: (geometry, rule) -> ``(F,)`` PSNR (dB) after fitting one brightness factor.
     """
 
     name: str
@@ -74,12 +73,12 @@ class ViewDependence:
         return float(self.psnr_db[geometry, rule].mean())
 
     def advantage(self, geometry: str) -> float:
-        """How much better (dB) the light field is than the better of the textures."""
+        """Mean PSNR (dB) of the light field minus that of the better texture."""
         textures = (self.mean(geometry, rule) for rule in RULES if rule != "light_field")
         return self.mean(geometry, "light_field") - max(textures)
 
     def photos_better_over_own_depth(self) -> int:
-        """How many photos the light field shows better over its own than over the true depth."""
+        """Number of photos that the light field shows better over its own than over true depth."""
         own, true = self.psnr_db["own", "light_field"], self.psnr_db["true", "light_field"]
         return int(np.count_nonzero(own > true))
 
@@ -96,13 +95,13 @@ def measure(
     """Compares all geometries and rules on the photos of one set.
 
     Args:
-        name: of the set, for people.
-        held_out: photos with the light field over its own depth maps.
-        held_out_true: the same with the parts' true depth, see ``with_true_depth``.
+        name: name of the set.
+        held_out: photos, with the light field over its own depth maps.
+        held_out_true: the same photos, with the parts' true depth by ``with_true_depth``.
         count: number of the photos.
         plane: the scene's plane.
-        parts: where the comparison is made.
-        progress: told how far the work is.
+        parts: rectangles on which views are compared.
+        progress: wraps the loop over photos to report progress.
 
     Raises:
         StageError: no photo shows enough of the parts.
@@ -126,20 +125,20 @@ def measure(
 def part_views(
     photo: HeldOut, true_views: Views, plane: Plane, parts: Sequence[FlatPart], step: int
 ) -> PartViews:
-    """Renders one photo's pixels of the parts over all geometries by all rules.
+    """Renders a photo's pixels of the parts by all geometries and rules.
 
     Args:
-        photo: with the light field over its own depth.
+        photo: the photo, with the light field over its own depth maps.
         true_views: that light field with the true depth of the parts.
         plane: the scene's plane.
-        parts: rectangles.
-        step: every so many rows and columns are looked at.
+        parts: rectangles on which views are compared.
+        step: one in this many rows and columns is rendered.
     """
     pose, intrinsics = photo.world_from_camera, photo.intrinsics
-    looked_at = parts_inverse_depth(parts, pose, intrinsics) > 0.0
-    share = float(looked_at.mean())
-    chosen = np.zeros_like(looked_at)
-    chosen[::step, ::step] = looked_at[::step, ::step]
+    shows_part = parts_inverse_depth(parts, pose, intrinsics) > 0.0
+    share = float(shows_part.mean())
+    chosen = np.zeros_like(shows_part)
+    chosen[::step, ::step] = shows_part[::step, ::step]
     pixels = np.argwhere(chosen)[:, ::-1].astype(np.float64)
     images: dict[tuple[str, str], ImageArray] = {}
     shown = chosen.copy()
@@ -169,14 +168,14 @@ def part_views(
 def with_true_depth(
     views: Views, world_from_camera: FloatArray, parts: Sequence[FlatPart]
 ) -> Views:
-    """The same light field with the parts' true depth where its photos show them.
+    """A light field with the parts' true depth where its photos show them.
 
-    Depth that is clearly nearer is kept: something stands before the part.
+    Depth that is clearly nearer belongs to something in front of a part and is kept.
 
     Args:
-        views: with depth maps.
-        world_from_camera: ``(N, 4, 4)`` their poses.
-        parts: rectangles.
+        views: the photos with their depth maps.
+        world_from_camera: ``(N, 4, 4)`` poses of the photos.
+        parts: rectangles whose depth is known.
     """
     maps = []
     for view, pose in enumerate(world_from_camera):

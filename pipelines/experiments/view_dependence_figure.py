@@ -9,29 +9,20 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pipelines.artifacts.arrays import BoolArray, FloatArray, ImageArray
-from pipelines.experiments.view_dependence import (
-    GEOMETRIES,
-    RULES,
-    PartViews,
-    ViewDependence,
-)
+from pipelines.experiments.view_dependence import GEOMETRIES, RULES, PartViews, ViewDependence
 from pipelines.render.image_quality import fitted_gain, psnr
 
-# What the pictures show beside the photo, left to right.
+# Geometry and rule of the pictures beside the photo, left to right.
 PICTURES = (("own", "light_field"), ("true", "light_field"), ("true", "mean"))
-# Errors from this on, in grey levels, are drawn in the brightest colour.
+# Errors of this size, grey levels, have the brightest colour.
 LARGEST_ERROR = 80.0
 # Colours of Okabe and Ito (2008), and hatches for print in grey.
-BARS = {
-    "light_field": ("#0072B2", ""),
-    "mean": ("#E69F00", "//"),
-    "median": ("#D55E00", ".."),
-}
+BARS = {"light_field": ("#0072B2", ""), "mean": ("#E69F00", "//"), "median": ("#D55E00", "..")}
 SURROUNDINGS = 0.3
 
 
 def markdown(results: Sequence[ViewDependence]) -> str:
-    """The table: a line a set and geometry, PSNR in dB; and how often own depth is the better."""
+    """The table as Markdown: PSNR (dB), one line for each set and geometry."""
     heads = ("held-out photos", "surface", *RULES.values(), "light field better by")
     lines = [f"| {' | '.join(heads)} |", "|---|---|---:|---:|---:|---:|"]
     for result in results:
@@ -48,13 +39,13 @@ def markdown(results: Sequence[ViewDependence]) -> str:
 def write_figure(
     path: Path, results: Sequence[ViewDependence], photo: ImageArray, views: PartViews
 ) -> None:
-    """Writes a PNG: one photo, what is shown in its place, the errors, and the means of all sets.
+    """Writes a PNG: one photo, rendered views of it, their errors, and the means of all sets.
 
     Args:
-        path: the PNG.
-        results: of the sets.
-        photo: ``(H, W, 3)`` RGB, the example.
-        views: what the geometries and rules show of it, at all pixels.
+        path: of the PNG.
+        results: measurements of the sets.
+        photo: ``(H, W, 3)`` RGB, the photo shown.
+        views: that photo's pixels of the parts, all of them rendered.
     """
     with mpl.rc_context({"font.family": ["DejaVu Sans"], "font.size": 9.0}):
         figure = Figure(figsize=(12.0, 5.6), layout="constrained")
@@ -82,7 +73,7 @@ def _picture(axes: Axes, image: ImageArray, title: str) -> None:
 def _compared(
     photo: ImageArray, image: ImageArray, shown: BoolArray
 ) -> tuple[ImageArray, FloatArray]:
-    """The image in its place in the darkened photo, and the error of each pixel."""
+    """The image pasted into the darkened photo, and the error of each pixel, grey levels."""
     adjusted = fitted_gain(image, photo, shown) * image.astype(np.float64)
     error = np.abs(adjusted - photo).mean(axis=-1)
     pasted = np.where(shown[..., None], adjusted, SURROUNDINGS * photo)
@@ -90,7 +81,7 @@ def _compared(
 
 
 def _bars(axes: Axes, results: Sequence[ViewDependence]) -> None:
-    """Mean PSNR of each rule over the depth from the photos, a group a set."""
+    """Draws the mean PSNR of each rule over the depth from the photos, one group a set."""
     width = 0.8 / len(RULES)
     for number, (rule, name) in enumerate(RULES.items()):
         places = np.arange(len(results)) + (number - 0.5 * (len(RULES) - 1)) * width

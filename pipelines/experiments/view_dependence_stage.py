@@ -40,16 +40,16 @@ def study_view_dependence(
 ) -> tuple[ViewDependence, ...]:
     """Compares light field and texture on flat parts; writes a table and a figure.
 
-    The photos are those of a data set, and the scene's own views, each left out once. (Its depth
-    maps have been compared with the view that is left out.)
+    The photos are those of a data set, and the scene's own views, each left out once. (The depth
+    maps of the other views were computed with the view that is left out.)
 
     Args:
-        scene_path: scene with depth maps.
-        parts_path: the parts, see ``read_flat_parts``.
-        dataset: photos with ground truth.
+        scene_path: scene model with depth maps.
+        parts_path: TOML file of the parts, in the format of ``read_flat_parts``.
+        dataset: data set of held-out photos with ground truth.
         output: folder for ``table.md`` and ``view-dependence.png``.
-        overwrite: whether it may be replaced.
-        progress: told how far the work is.
+        overwrite: whether the output may be replaced.
+        progress: wraps loops to report progress.
 
     Raises:
         InputError: a file cannot be read, or the output not be written.
@@ -78,6 +78,7 @@ def study_view_dependence(
 
 
 def _left_out(scene: Scene, views: Views) -> Iterator[HeldOut]:
+    """The scene's own views, each with a light field that lacks it."""
     return views_one_by_one(scene, views, range(len(scene)))
 
 
@@ -90,7 +91,7 @@ def _draw(
     plane: Plane,
     parts: tuple[FlatPart, ...],
 ) -> None:
-    """Draws the photo of the first set on which the light field is about as good as on average."""
+    """Writes the figure with the photo of the first set whose PSNR is the median."""
     quality = results[0].psnr_db["own", "light_field"]
     usual = int(np.argsort(quality, kind="stable")[len(quality) // 2])
     number = results[0].photos[usual]

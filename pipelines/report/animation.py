@@ -21,7 +21,7 @@ from pipelines.report.tracks import Tracks
 
 WIDTH, HEIGHT, DPI = 9.0, 3.6, 72
 SECONDS_A_STEP, SECONDS_AT_THE_END = 0.4, 2.5
-# Longer dockings leave out steps, evenly.
+# Of longer dockings, this many evenly spaced steps are shown.
 MOST_STEPS = 120
 COLOURS = 200
 MOST_PARTICLES = 1000
@@ -29,6 +29,12 @@ MOST_PARTICLES = 1000
 
 def animation(run: Run, surroundings: Surroundings, tracks: Tracks, progress: Progress) -> bytes:
     """The docking as a GIF: the same bytes for the same run.
+
+    Args:
+        run: run of a docking.
+        surroundings: the fixed part of the top view.
+        tracks: the run's paths.
+        progress: wraps the loop over steps to report progress.
 
     Raises:
         InputError: a camera image that cannot be decoded.
@@ -48,7 +54,7 @@ def animation(run: Run, surroundings: Surroundings, tracks: Tracks, progress: Pr
 
 
 def _picture(run: Run, surroundings: Surroundings, tracks: Tracks, index: int) -> ImageArray:
-    """One step, ``(H, W, 3)``."""
+    """The picture of one step, ``(H, W, 3)`` RGB."""
     figure = Figure(figsize=(WIDTH, HEIGHT), facecolor="white")
     canvas = FigureCanvasAgg(figure)
     figure.set_dpi(DPI)

@@ -1,4 +1,4 @@
-"""What the page says about a run: numbers, notes, and how to read each figure."""
+"""The content of the page about a run: numbers, notes, and how to read each figure."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -14,7 +14,7 @@ from pipelines.report.page import Page, Picture, Table, flattened
 from pipelines.report.tracks import Tracks
 from pipelines.report.verdict import frame_ranges, verdict_of
 
-# Keys of the evaluation's figures, and what they are called on the page.
+# Keys of the evaluation's numbers, and their names on the page.
 ERROR_COLUMNS = {"median": "median", "rmse": "RMSE", "max": "max", "last5_mean": "mean of last 5"}
 
 OVERVIEW_CAPTION = (
@@ -45,18 +45,15 @@ FRAME_CAPTION = (
 
 
 def page_of(
-    content: Content,
-    scene: Scene,
-    scene_origin: Mapping[str, Any],
-    figures: Mapping[str, bytes],
+    content: Content, scene: Scene, scene_origin: Mapping[str, Any], figures: Mapping[str, bytes]
 ) -> Page:
     """The page of a run.
 
     Args:
         content: what the figures show.
         scene: the scene model.
-        scene_origin: its provenance.
-        figures: name -> PNG, in the order in which the page shows them.
+        scene_origin: provenance of the scene model.
+        figures: name -> PNG (GIF for ``animation``), in the order in which the page shows them.
     """
     run, tracks = content.run, content.tracks
     is_docking = run.docking is not None

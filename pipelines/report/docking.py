@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from pipelines.artifacts.arrays import BoolArray, FloatArray
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import OptionError
 from pipelines.localize.docking_record import DockingRecord
 from pipelines.localize.run import Run
@@ -17,11 +17,11 @@ from pipelines.report.tracks import Tracks
 from pipelines.report.verdict import Verdict, length_text
 
 WIDTH, HEIGHT = 14.0, 5.2
-# Bounds are stated with so many standard deviations.
+# Bounds are stated with this many standard deviations.
 SIGMAS = 2.0
-# The estimate that the docking acted on.
+# Name of the estimate that docking acted on.
 DOCKING_ESTIMATE = "docking"
-# A robot farther from the goal than this is not docked, whatever it says, metres.
+# A robot truly farther from the goal than this is not docked, whatever the outcome, metres.
 LARGEST_TRUE_ERROR = 0.05
 STATE_SHADE = {
     "searching": "#FAF0CC",
@@ -32,16 +32,16 @@ STATE_SHADE = {
 }
 CAPTION = (
     "Left, the place from above: the goal (star), the staging pose behind it (square), the path by "
-    "the estimate and, where it is known, by ground truth; grey dots are what stands on the floor, "
+    "the estimate and, where it is known, by ground truth; grey dots are obstacle points, "
     "circles a robot whose radius was given. Right, the distance to the goal at each "
-    "step on a logarithmic scale; the band is what the belief itself does not rule out: the "
-    "estimated distance and two standard deviations. Shades are the states of the docking."
+    "step on a logarithmic scale; the band is the estimated distance plus and minus two standard "
+    "deviations. Shades are the states of docking."
 )
 ANIMATION_CAPTION = "The docking step by step: from above, and what the camera saw."
 
 
 def record_of(run: Run) -> DockingRecord:
-    """What the run says of its docking.
+    """The docking record of a run.
 
     Raises:
         OptionError: the run is no docking.
@@ -126,7 +126,7 @@ def _draw_distances(axes: Axes, run: Run) -> None:
     known = np.isfinite(distance)
     low = np.maximum(distance - reach, 1e-4)
     axes.fill_between(
-        steps, low, distance + reach, where=_as_list(known), color=style.ESTIMATE, alpha=0.2,
+        steps, low, distance + reach, where=known.tolist(), color=style.ESTIMATE, alpha=0.2,
         linewidth=0.0, label="the belief's bound, two standard deviations",
     )  # fmt: skip
     axes.plot(
@@ -148,7 +148,7 @@ def _draw_distances(axes: Axes, run: Run) -> None:
 
 
 def shade_states(axes: Axes, states: tuple[str, ...]) -> None:
-    """Backgrounds that tell the states of the docking, each with its name once."""
+    """Shades the background by the state of docking, and names each state once."""
     named: set[str] = set()
     for step, state in enumerate(states):
         axes.axvspan(
@@ -163,7 +163,7 @@ def shade_states(axes: Axes, states: tuple[str, ...]) -> None:
 
 
 def _sigmas(run: Run) -> FloatArray:
-    """``(N,)`` metres: standard deviation of the position along its least certain direction."""
+    """Standard deviations ``(N,)`` of the position along its least certain direction, metres."""
     sigmas = []
     for frame in run.frames:
         covariance = frame.covariance
@@ -173,19 +173,15 @@ def _sigmas(run: Run) -> FloatArray:
     return np.array(sigmas)
 
 
-def _as_list(known: BoolArray) -> list[bool]:
-    return [bool(value) for value in known]
-
-
 def docking_verdict(run: Run) -> Verdict:
-    """The first line of a docking's page."""
+    """The verdict on a docking, by its outcome and by ground truth where it is known."""
     record = record_of(run)
     truth = ""
     kind = "good" if record.exit_code == 0 else "bad"
     if run.groundtruth is not None and np.all(np.isfinite(run.groundtruth[-1])):
         error = float(np.linalg.norm(run.groundtruth[-1, :2] - record.goal[:2]))
-        turn = run.groundtruth[-1, 2] - record.goal[2]
-        degrees = abs(float(np.degrees(np.arctan2(np.sin(turn), np.cos(turn)))))
+        yaw = run.groundtruth[-1, 2] - record.goal[2]
+        degrees = abs(float(np.degrees(np.arctan2(np.sin(yaw), np.cos(yaw)))))
         truth = f" In truth the robot is {length_text(error)} and {degrees:.1f}° from the goal."
         if record.exit_code == 0 and error > LARGEST_TRUE_ERROR:
             kind = "bad"

@@ -13,11 +13,7 @@ from pipelines.localize.run import Run
 from pipelines.report import style
 from pipelines.report.legend import legend_entries
 from pipelines.report.surroundings import Surroundings
-from pipelines.report.top_view import (
-    box_limits,
-    close_up_extent,
-    draw_top_view,
-)
+from pipelines.report.top_view import box_limits, close_up_extent, draw_top_view
 from pipelines.report.tracks import Tracks
 from pipelines.report.verdict import length_text
 from pipelines.report.views import FrameViews, ModelView, mark_uncovered
@@ -32,17 +28,19 @@ MAX_PICTURE_HEIGHT = 3.4
 TOP_VIEW_SHARE = 1.25
 LEGEND_COLUMNS = 5
 MAX_NAME = 30
-# Odometry's path is moved to begin at the true pose; this far (metres) rounding moves it away.
+# Odometry's path starts at the true pose; a smaller error than this is rounding, metres.
 SAME_PLACE = 1e-6
 
 
 @dataclass(frozen=True)
 class Content:
-    """What all figures are made of.
+    """What the figures show.
 
     Attributes:
-        run, tracks, surroundings: of the whole run.
-        views: the pictures of each chosen frame, in order of time.
+        run: the run.
+        tracks: the run's paths.
+        surroundings: the fixed part of the top views.
+        views: number of each chosen frame -> its pictures, in order of time.
     """
 
     run: Run
@@ -61,7 +59,7 @@ def png_of(figure: Figure) -> bytes:
 def pdf_of(figure: Figure) -> bytes:
     """The figure as PDF: the same bytes for the same figure."""
     buffer = BytesIO()
-    # A date would make every file another one.
+    # Without a date the same figure gives the same file.
     metadata = {"CreationDate": None, "Producer": None, "Creator": "lfnav"}
     figure.savefig(buffer, format="pdf", dpi=style.PDF_DPI, metadata=metadata)
     return buffer.getvalue()

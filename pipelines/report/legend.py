@@ -16,16 +16,23 @@ from pipelines.report.surroundings import Surroundings
 from pipelines.report.top_view import MIN_MODE_SHARE, PARTICLE_TONES, arrow_marker, pnp_symbol
 from pipelines.report.tracks import Tracks
 
-# Estimates in frames of these kinds are drawn hollow.
+# Frames with these statuses have hollow estimates, named so in the legend.
 HOLLOW = {"global": "searching", "blind": "blind", "stale": "stale"}
 
 
 def legend_entries(
     run: Run, tracks: Tracks, surroundings: Surroundings, indices: Sequence[int]
 ) -> tuple[list[Any], list[str], dict[type, HandlerTuple]]:
-    """Handles, labels and handler map of a legend for figures of the frames ``indices``.
+    """Handles, labels and handler map of a legend.
 
-    A handle is an artist or, where a symbol consists of several, a tuple of artists.
+    Args:
+        run: the run.
+        tracks: the run's paths.
+        surroundings: the fixed part of the top views.
+        indices: numbers of the frames that the figure shows.
+
+    Returns:
+        A handle is an artist or, where a symbol consists of several, a tuple of artists.
     """
     statuses = {run.frames[i].status for i in indices}
 
@@ -40,10 +47,7 @@ def legend_entries(
 
     hollow = [word for status, word in HOLLOW.items() if status in statuses]
     entries: list[tuple[Artist | tuple[Artist, ...], str]] = [
-        (
-            tuple(dot(tone) for tone in (0.0, 0.5, 1.0)),
-            "particles, dark: likelier",
-        ),
+        (tuple(dot(tone) for tone in (0.0, 0.5, 1.0)), "particles, dark: likelier"),
         (
             (Line2D([], [], color=style.ESTIMATE, linewidth=1.4), pose(style.ESTIMATE)),
             f"estimate (hollow: {' or '.join(hollow)})" if hollow else "estimate",

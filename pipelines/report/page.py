@@ -1,8 +1,8 @@
-"""The report as one HTML file that needs nothing beside it.
+"""The report as one self-contained HTML file.
 
 All texts pass through ``escape``: names of data sets, images, settings and stages come from files
-that strangers may have written. A content security policy forbids everything that is not in the
-page itself, should something slip through.
+of unknown origin. In addition, a content security policy forbids everything that is not in the page
+itself.
 """
 
 import base64
@@ -19,7 +19,14 @@ POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
 @dataclass(frozen=True)
 class Table:
-    """A table; columns from the second on are numbers where ``numeric`` is set."""
+    """A table of the page.
+
+    Attributes:
+        title: heading above the table.
+        rows: cells, row by row.
+        has_heading: whether the first row holds the columns' headings.
+        numeric: whether columns from the second on are numbers.
+    """
 
     title: str
     rows: Sequence[Sequence[str]]
@@ -29,9 +36,14 @@ class Table:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure with its title and the sentences that say how to read it.
+    """A figure of the page.
 
-    ``png`` holds a GIF where ``kind`` says so.
+    Attributes:
+        title: heading above the figure.
+        png: encoded image.
+        alternative: text for readers who do not see the image.
+        caption: sentences that say how to read the figure.
+        kind: format of ``png``: "png" or "gif".
     """
 
     title: str
@@ -43,16 +55,16 @@ class Picture:
 
 @dataclass(frozen=True)
 class Page:
-    """What the page says, from top to bottom.
+    """The content of the page, from top to bottom.
 
     Attributes:
-        title: of the page.
-        verdict: its first line.
-        subtitle: one line below the title.
-        tables: beside each other below the title.
+        title: title of the page.
+        verdict: first line of the page.
+        subtitle: line below the title.
+        tables: tables beside each other below the title.
         notes: sentences below the tables.
-        pictures: the figures.
-        details: tables at the bottom, folded.
+        pictures: figures.
+        details: folded tables at the bottom.
     """
 
     title: str

@@ -32,12 +32,12 @@ ANIMATION_NAME = "animation.gif"
 
 @dataclass(frozen=True)
 class ReportSettings:
-    """What to show.
+    """What the report shows.
 
     Attributes:
-        frames: numbers of the frames to show, from 0; None for the first, middle and last.
-        estimate: which of the run's estimates to show; None for the run's own choice.
-        scene: the scene file; None for the one that the run names.
+        frames: numbers of the frames to show, from 0; None: the first, the middle and the last.
+        estimate: name of the run's estimate to show; None: the run's default.
+        scene: path of the scene file; None: the path in the run.
     """
 
     frames: tuple[int, ...] | None = None
@@ -47,13 +47,13 @@ class ReportSettings:
 
 @dataclass(frozen=True)
 class ReportSummary:
-    """What was written.
+    """Summary of a report.
 
     Attributes:
         folder: the report's folder.
-        frames: the frames shown.
-        files: names in the folder.
-        verdict: the page's first line.
+        frames: numbers of the frames shown.
+        files: paths of the files written, relative to the folder.
+        verdict: first line of the page.
     """
 
     folder: Path
@@ -92,6 +92,13 @@ def report(
     """Writes ``report.html`` and ``figures/`` about a run into the folder ``output``.
 
     The same files give the same report, byte for byte.
+
+    Args:
+        run_path: run file.
+        output: folder to write; it appears whole or not at all.
+        settings: what to show.
+        overwrite: whether an existing report may be replaced.
+        progress: wraps loops to report progress.
 
     Raises:
         InputError: a file that cannot be used, a scene that the run does not belong to, or an
@@ -179,14 +186,14 @@ def _content(
     clouds = [run.frames[index].particles for index in indices]
     around = surroundings_of(scene, tracks, clouds)
     if run.docking is not None:
-        # A robot that moves by the map is judged by what stood in its way.
+        # A docking robot avoids obstacles: show them.
         top = float(run.base_from_camera[2, 3])
-        around = replace(around, standing=obstacle_points(scene, top))
+        around = replace(around, obstacles=obstacle_points(scene, top))
     return Content(run, tracks, around, views)
 
 
 def _animation(content: Content, progress: Progress) -> bytes | None:
-    """The docking as a GIF; None where the run is none."""
+    """The docking as a GIF; None where the run is no docking."""
     if content.run.docking is None:
         return None
     with figure_style():

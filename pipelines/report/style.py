@@ -22,8 +22,8 @@ SURFACE_BACK = "#D9D9D9"
 TEXT = "#1A1A1A"
 FAINT = "#6B6B6B"
 
-# The two colours of the stripes on pixels that no recorded view covers. They appear in no photo of
-# an ordinary place side by side, so that nobody takes them for scene content.
+# Colours of the stripes on pixels that no recorded view covers. No ordinary photo has them side by
+# side, so that they are not mistaken for scene content.
 UNCOVERED_LIGHT = (250, 240, 246)
 UNCOVERED_DARK = (204, 121, 167)
 
@@ -82,17 +82,17 @@ _SETTINGS: dict[str, Any] = {
     "xtick.color": TEXT,
     "ytick.color": TEXT,
     "hatch.linewidth": 0.8,
-    # Names come from other people's files: "$" must not start a formula there.
+    # Names come from users' files: "$" must not start a formula in them.
     "text.parse_math": False,
 }
 
 
 @contextmanager
 def figure_style() -> Iterator[None]:
-    """Draws inside this block look the same whatever the user's own matplotlib settings are."""
+    """A context in which figures do not depend on the user's matplotlib settings."""
     keep = {"backend", "backend_fallback", "interactive", "toolbar", "timezone"}
     with warnings.catch_warnings(), mpl.rc_context():
-        # A name in a script that the font lacks shows as boxes; the page has it in full.
+        # Characters that the font lacks are drawn as boxes; the page has the whole text.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
         for name, value in mpl.rcParamsDefault.items():
             if name not in keep:

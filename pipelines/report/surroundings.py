@@ -1,4 +1,4 @@
-"""What does not change from frame to frame in a top view: mapped surface, recordings, extent."""
+"""The fixed part of a top view: mapped surface, recording positions, obstacle points, extent."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,10 +16,11 @@ from pipelines.report.tracks import Tracks
 # A plane whose normal rises less than this (as a share of its length, 0.3 is 17 degrees) is a wall:
 # seen from above it is a line.
 MAX_WALL_TILT = 0.3
-# Rays that meet the surface further away than this many times the usual distance graze it.
+# Rays that meet the surface at more than this many times the median distance are left out: they
+# graze it.
 MAX_RANGE_FACTOR = 4.0
 RAYS_PER_SIDE = 17
-# Quantiles of the particles between which a top view shows them for certain.
+# A top view shows at least the particles between these quantiles.
 OUTERMOST = (0.005, 0.995)
 
 
@@ -29,8 +30,9 @@ class Surface:
 
     Attributes:
         outline: ``(2, 2)`` ends of a wall's trace on the ground, or ``(K, 2)`` corners of the
-            covered area where the surface lies flat; metres.
-        away: ``(2,)`` unit direction from the seen side through the wall; zero for flat surfaces.
+            covered area of a horizontal surface, metres.
+        away: ``(2,)`` unit vector from the visible side through the wall; zero for a horizontal
+            surface.
     """
 
     outline: FloatArray
@@ -47,16 +49,16 @@ class Surroundings:
     """The fixed part of a top view.
 
     Attributes:
-        surface: None where no view covers any of it.
-        recordings: ``(V, 3)`` camera positions x, y (metres) and headings (radians).
-        extent: ``(4,)`` x_min, x_max, y_min, y_max (metres) of everything worth showing.
-        standing: ``(M, 2)`` points of what stands on the floor, metres; None: not asked for.
+        surface: the mapped surface; None where no view covers any of it.
+        recordings: ``(V, 3)`` recording positions x, y (metres) and headings (radians).
+        extent: ``(4,)`` x_min, x_max, y_min, y_max of the top view, metres.
+        obstacles: ``(M, 2)`` obstacle points on the floor, metres; None: not shown.
     """
 
     surface: Surface | None
     recordings: FloatArray
     extent: FloatArray
-    standing: FloatArray | None = None
+    obstacles: FloatArray | None = None
 
 
 def surroundings_of(
@@ -67,7 +69,7 @@ def surroundings_of(
     Args:
         scene: the scene model.
         tracks: the run's paths.
-        particles: ``(M, 3)`` of each frame shown; all but the outermost will be in view.
+        particles: ``(M, D)`` particles of each frame shown; all but the outermost are in view.
     """
     positions = scene.world_from_camera[:, :2, 3]
     headings = camera_heading_of(scene.world_from_camera)
@@ -81,7 +83,8 @@ def surroundings_of(
         known.append(surface.outline)
     if tracks.groundtruth is not None:
         known.append(tracks.groundtruth[np.all(np.isfinite(tracks.groundtruth), axis=1), :2])
-    # A path that runs away must not shrink the place to a dot: up to half the place on each side.
+    # Paths extend the view by half of the place on each side at most: a diverging path must not
+    # shrink the place to a dot.
     extent = _box(np.concatenate(known))
     margin = 0.5 * max(extent[1] - extent[0], extent[3] - extent[2])
     limits = extent + np.array([-margin, margin, -margin, margin])
@@ -110,7 +113,13 @@ def _grown(extent: FloatArray, share: float) -> FloatArray:
 def surface_from_above(
     plane: Plane, world_from_camera: FloatArray, cameras: list[Camera]
 ) -> Surface | None:
-    """The part of ``plane`` that the cameras ``(V, 4, 4)`` see, seen from above."""
+    """The part of a plane that cameras see, from above; None where they see none.
+
+    Args:
+        plane: in world coordinates.
+        world_from_camera: ``(V, 4, 4)`` poses of the cameras.
+        cameras: their intrinsics, ``V`` of them.
+    """
     hits = _points_seen(plane, world_from_camera, cameras)
     if len(hits) == 0:
         return None
@@ -131,7 +140,7 @@ def surface_from_above(
 
 
 def _points_seen(plane: Plane, world_from_camera: FloatArray, cameras: list[Camera]) -> FloatArray:
-    """Points ``(M, 3)`` in which rays through the pictures meet the plane in front of them."""
+    """Points ``(M, 3)`` at which rays through the cameras' images meet the plane."""
     distances = np.abs(plane.signed_distance(world_from_camera[:, :3, 3]))
     longest = MAX_RANGE_FACTOR * max(float(np.median(distances)), 1e-6)
     hits = []

@@ -1,4 +1,4 @@
-"""Curves over the frames: errors with the claimed spread, particles, confidence, time."""
+"""Curves over the frames: errors with standard deviations, particles, confidence, time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,12 +18,12 @@ from pipelines.report.tracks import Tracks
 
 FIGURE_WIDTH = 13.0
 PANEL_HEIGHT = 1.75
-# From this ratio of largest to median on, a linear axis would press the interesting part flat.
+# From this ratio of the largest value to the median on, the axis is logarithmic.
 LOG_RATIO = 12.0
-# A bar this many times longer than the second longest is cut: the first frame's, for example,
+# A bar this many times longer than the second longest is cut off: for example the first frame's,
 # which searches the whole map.
 TOWERING = 4.0
-# Metres or radians; below lies rounding.
+# Smaller errors than this are rounding: metres or radians.
 SAME_PLACE = 1e-6
 
 
@@ -42,9 +42,9 @@ def time_figure(run: Run, tracks: Tracks, indices: Sequence[int]) -> Figure:
     """All curves of a run below each other, over one common frame axis.
 
     Args:
-        run: at least one frame.
+        run: run of at least one frame.
         tracks: the run's paths.
-        indices: frames shown elsewhere; marked by thin vertical lines.
+        indices: numbers of the frames that other figures show; marked by thin vertical lines.
     """
     figure = Figure(figsize=(FIGURE_WIDTH, 5 * PANEL_HEIGHT + 1.3))
     grid = figure.add_gridspec(
@@ -67,8 +67,8 @@ def time_figure(run: Run, tracks: Tracks, indices: Sequence[int]) -> Figure:
 def claimed_sigmas(run: Run) -> tuple[FloatArray, FloatArray]:
     """The filter's own standard deviations, ``(N,)`` each: position in metres, angle in radians.
 
-    The position's is that of the distance: the root of the sum of the variances along the axes. So
-    is that of the angle, where there is more than one.
+    Each is the root of the sum of the variances, along the axes of the position and over the angles
+    of the orientation.
     """
     variances = np.array([np.diag(frame.covariance) for frame in run.frames])
     variances = np.clip(variances, 0.0, None)
@@ -80,7 +80,7 @@ def claimed_sigmas(run: Run) -> tuple[FloatArray, FloatArray]:
 
 
 def _draw_deviation(axes: Axes, run: Run, tracks: Tracks, *, heading: bool) -> None:
-    """Errors against ground truth; without it, how far estimate and odometry disagree."""
+    """Draws errors against ground truth; without it, the difference of estimate and odometry."""
     frames = np.arange(len(run.frames))
     sigma = claimed_sigmas(run)[1 if heading else 0]
     curves = _deviations(run, tracks, heading)
@@ -100,7 +100,7 @@ def _draw_deviation(axes: Axes, run: Run, tracks: Tracks, *, heading: bool) -> N
     for curve in curves:
         axes.plot(
             frames,
-            # Odometry's first error is zero because it is put there; that is no measurement.
+            # Odometry starts at the true pose: its first error of zero is no measurement.
             np.where(curve.values > SAME_PLACE, curve.values * scale, np.nan),
             curve.line,
             color=curve.colour,
@@ -114,7 +114,7 @@ def _draw_deviation(axes: Axes, run: Run, tracks: Tracks, *, heading: bool) -> N
 
 
 def _deviations(run: Run, tracks: Tracks, heading: bool) -> list[_Curve]:
-    """Errors of estimate and odometry; without ground truth how far the two lie apart."""
+    """Errors of estimate and odometry; without ground truth, their difference."""
     curves = []
     for errors, label, colour, line, marker in (
         (tracks.estimate_errors, "estimate", style.ESTIMATE, "-", "o"),
@@ -152,7 +152,7 @@ def _length_unit(lengths: FloatArray) -> tuple[float, str]:
 
 
 def _scale_deviation(axes: Axes, values: FloatArray) -> None:
-    """Linear from zero, or logarithmic where a few values are far above the others."""
+    """Scales the axis: linear from zero, or logarithmic where a few values are far larger."""
     if len(values) == 0:
         axes.set_ylim(bottom=0.0)
         return
@@ -234,7 +234,7 @@ def _draw_seconds(axes: Axes, run: Run) -> None:
 
 
 def _limit_bars(axes: Axes, heights: FloatArray, unit: str) -> None:
-    """Cuts a bar that towers above all others, and writes its height beside it."""
+    """Cuts off a bar far longer than all others, and writes its height beside it."""
     ordered = np.sort(heights)
     longest = float(ordered[-1])
     second = float(ordered[-2]) if len(ordered) > 1 else longest

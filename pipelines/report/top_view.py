@@ -22,18 +22,19 @@ from pipelines.report.tracks import Tracks
 ELLIPSE_95 = 5.991464547107979
 # A particle this many times less likely than the best one is drawn in the lightest tone.
 WEIGHT_RANGE = 1e4
-# Beyond this number dots only cover each other; the best stay, the rest is thinned evenly.
+# More dots than this only cover each other: half of them are the best particles, the others are
+# evenly chosen.
 MAX_DOTS = 20_000
-# A mode with a smaller share of the weight is noise of the clustering.
+# A mode with a smaller share of the weight is not shown: it is noise of the clustering.
 MIN_MODE_SHARE = 0.05
 PARTICLE_TONES = ListedColormap(
     np.linspace((0.80, 0.80, 0.80, 1.0), (0.10, 0.10, 0.10, 1.0), 32), name="lfnav particles"
 )
-# Close-up: at least this wide (metres), and never so wide that it shows nothing new.
+# A close-up is at least this wide, metres, and at most this share of the whole view.
 MIN_CLOSE_UP = 0.6
 MAX_CLOSE_UP_SHARE = 0.6
 
-# An arrow head that points along +x; its notch marks the position.
+# An arrow head along +x; its notch marks the position.
 _ARROW = MarkerPath(
     [(1.3, 0.0), (-0.8, 0.75), (-0.35, 0.0), (-0.8, -0.75), (1.3, 0.0)],
     [MarkerPath.MOVETO, *[MarkerPath.LINETO] * 3, MarkerPath.CLOSEPOLY],
@@ -51,7 +52,14 @@ def box_limits(extent: FloatArray, aspect: float) -> FloatArray:
 def close_up_extent(
     record: FrameRecord, tracks: Tracks, index: int, surroundings: Surroundings
 ) -> FloatArray | None:
-    """What to show around the estimate of a frame; None where a close-up would show nothing new."""
+    """The extent ``(4,)`` around a frame's estimate; None where it would be most of the whole view.
+
+    Args:
+        record: the frame.
+        tracks: the run's paths.
+        index: number of the frame.
+        surroundings: the fixed part of the top view.
+    """
     state = tracks.estimated[index]
     if not np.all(np.isfinite(state)):
         return None
@@ -87,12 +95,12 @@ def draw_top_view(
 
     Args:
         axes: empty axes.
-        surroundings: the fixed part.
+        surroundings: the fixed part of the top view.
         run: the run that the frame belongs to.
         tracks: the run's paths.
-        index: of the frame; the estimated path is drawn up to it.
+        index: number of the frame; the estimated path is drawn up to it.
         limits: ``(4,)`` x_min, x_max, y_min, y_max in metres.
-        detail: a close-up: larger symbols.
+        detail: whether this is a close-up, with larger symbols.
     """
     record = run.frames[index]
     size = 1.35 if detail else 1.0
@@ -110,21 +118,21 @@ def draw_top_view(
 def draw_place(
     axes: Axes, surroundings: Surroundings, limits: FloatArray, size: float = 1.0
 ) -> None:
-    """Draws what does not change: axes, the mapped surface, where the photos were taken.
+    """Draws the fixed part: axes, mapped surface, obstacle points, recording positions.
 
     Args:
         axes: empty axes.
-        surroundings: what to draw.
+        surroundings: the fixed part of the top view.
         limits: ``(4,)`` x_min, x_max, y_min, y_max in metres.
-        size: of the symbols; 1 is usual.
+        size: factor of the symbols' size.
     """
     _draw_axes(axes, limits)
     if surroundings.surface is not None:
         _draw_surface(axes, surroundings.surface, limits)
-    if surroundings.standing is not None:
+    if surroundings.obstacles is not None:
         axes.plot(
-            *surroundings.standing.T, ".", color=style.FAINT, markersize=1.6 * size, zorder=1.2,
-            label="what stands on the floor",
+            *surroundings.obstacles.T, ".", color=style.FAINT, markersize=1.6 * size, zorder=1.2,
+            label="obstacle points",
         )  # fmt: skip
     _draw_recordings(axes, surroundings.recordings, limits, size)
 
@@ -135,7 +143,7 @@ def _draw_axes(axes: Axes, limits: FloatArray) -> None:
     axes.set_ylim(limits[2], limits[3])
     axes.set_xlabel("x in m", labelpad=1.0)
     axes.set_ylabel("y in m", labelpad=1.0)
-    # The same step in both directions, so that the grid's cells are squares.
+    # The same step in both directions, so that the grid has squares.
     step = tick_step(float(limits[1] - limits[0]))
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MultipleLocator(step))
@@ -197,7 +205,7 @@ def _draw_recordings(axes: Axes, recordings: FloatArray, limits: FloatArray, siz
 
 
 def particle_tones(log_weights: FloatArray) -> FloatArray:
-    """How dark each particle ``(M,)`` is drawn: 1 for the best, 0 from ``WEIGHT_RANGE`` below."""
+    """Darkness of each particle, ``(M,)``: 1 for the best, 0 from ``WEIGHT_RANGE`` below it."""
     best = float(log_weights.max())
     return np.asarray(np.clip(1.0 + (log_weights - best) / np.log(WEIGHT_RANGE), 0.0, 1.0))
 
@@ -251,7 +259,7 @@ def _draw_paths(axes: Axes, run: Run, tracks: Tracks, index: int, size: float) -
             linestyle=(0, (4.0, 1.6)),
             zorder=3.2,
         )
-    # Estimates of a filter that is still searching jump; a line between them would be no path.
+    # While the filter is searching its estimates jump: a line between them would be no path.
     known = np.array([frame.status == "tracking" for frame in run.frames[: index + 1]])
     path = np.where(known[:, None], tracks.estimated[: index + 1, :2], np.nan)
     axes.plot(
@@ -324,7 +332,7 @@ def _draw_ellipse(axes: Axes, record: FrameRecord) -> None:
 
 
 def pnp_symbol(size: float = 1.0) -> dict[str, Any]:
-    """How the pose by features is marked: small, so that it hides no other pose."""
+    """Style of the mark of a pose by features: small, so that it hides no other pose."""
     return {
         "linestyle": "none",
         "marker": "x",
@@ -335,7 +343,7 @@ def pnp_symbol(size: float = 1.0) -> dict[str, Any]:
 
 
 def arrow_marker(heading: float) -> MarkerStyle:
-    """An arrow head of fixed size on screen that points along ``heading`` (radians)."""
+    """An arrow head of fixed size along ``heading`` (radians)."""
     return MarkerStyle(_ARROW.transformed(Affine2D().rotate(heading)))
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipelines.artifacts.arrays import BoolArray, FloatArray
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.geometry.pose import camera_heading_of
 from pipelines.localize.evaluation import (
     RunEvaluation,
@@ -13,23 +13,25 @@ from pipelines.localize.evaluation import (
     odometry_states,
 )
 from pipelines.localize.run import PNP_ESTIMATE, Run
+from pipelines.localize.state_space import known_states
 
 
 @dataclass(frozen=True)
 class Tracks:
-    """Where the body was at the frames, as seen from above (``seen_from_above``), each ``(N, 3)``.
+    """Paths of the body over ``N`` frames: its states, and their view from above.
 
     Attributes:
-        estimate_name: which estimate of the run ``estimated`` is; "none" where it has none at all.
-        estimated_states: ``(N, D)``; rows of NaN in frames without an estimate.
-        odometry_states: ``(N, D)`` placed in the world; None where there was none or it has no
-            place.
-        estimated: the same as ``estimated_states``, from above.
-        odometry: likewise.
-        groundtruth: rows of NaN in frames without it; None where it is unknown altogether.
+        estimate_name: name of the run's estimate that is shown; "none" where the run has none.
+        estimated_states: ``(N, D)`` estimated states; NaN in frames without an estimate.
+        odometry_states: ``(N, D)`` states by odometry in the world; None without odometry, or
+            without a pose at which its path could start.
+        estimated: ``(N, 3)`` ``estimated_states`` from above: x, y and heading.
+        odometry: ``(N, 3)`` ``odometry_states`` from above; None where these are.
+        groundtruth: ``(N, 3)`` true states from above; NaN in frames without ground truth; None
+            without any.
         evaluation: errors of the estimate and of odometry; None where they are unknown.
-        pnp: poses by features, from above; rows of NaN in frames without; None where the run noted
-            none beside the estimate.
+        pnp: ``(N, 3)`` poses by features, from above; NaN in frames without one; None where the run
+            has none beside the estimate.
     """
 
     estimate_name: str
@@ -63,24 +65,24 @@ def tracks_of(run: Run, estimate: str | None) -> Tracks:
     """The paths of a run.
 
     Args:
-        run: may lack estimates in some frames or in all.
-        estimate: name of one of the run's estimates; None for the run's own choice.
+        run: the run; frames may lack estimates.
+        estimate: name of one of the run's estimates; None: the run's default.
 
     Raises:
         OptionError: the run has no estimate of that name.
     """
     if estimate is None and not run.own_estimate_names:
-        # Lost throughout: the report has to show just that.
+        # Lost in all frames; the report has to show that.
         name, estimated = "none", np.full((len(run.frames), run.space.dimension), np.nan)
     else:
         name = run.default_estimate if estimate is None else estimate
         estimated = run.estimated_states(estimate)
     truth = run.groundtruth
-    if truth is not None and not known_rows(truth).any():
+    if truth is not None and not known_states(truth).any():
         truth = None
-    # Odometry has no place of its own: it is put where the truth or the first estimate is.
+    # Odometry has no origin in the world: its path starts at the true or the first estimated pose.
     has_place = truth is not None or bool(run.own_estimate_names)
-    comparable = truth is not None and bool(np.any(known_rows(truth) & known_rows(estimated)))
+    comparable = truth is not None and bool(np.any(known_states(truth) & known_states(estimated)))
     has_pnp = name != PNP_ESTIMATE and PNP_ESTIMATE in run.estimate_names
     odometry = odometry_states(run) if run.odometry is not None and has_place else None
     return Tracks(
@@ -96,20 +98,18 @@ def tracks_of(run: Run, estimate: str | None) -> Tracks:
 
 
 def seen_from_above(run: Run, states: FloatArray) -> FloatArray:
-    """What a top view shows of states ``(N, D)``: ``(N, 3)`` x, y (metres) and heading (radians).
+    """States from above, ``(N, 3)``: x, y (metres) and heading (radians).
 
-    A body with six degrees of freedom has no heading of its own; where its camera looks, seen from
-    above, stands for it. Rows of NaN stay such.
+    The heading of a body with six degrees of freedom is that of its camera.
+
+    Args:
+        run: the run, which has the camera's mount.
+        states: ``(N, D)``; rows of NaN stay NaN.
     """
     if run.space.dimension == 3:
         return states
     above = np.full((len(states), 3), np.nan)
-    known = known_rows(states)
+    known = known_states(states)
     above[known, :2] = states[known, :2]
     above[known, 2] = camera_heading_of(run.space.poses(states[known]) @ run.base_from_camera)
     return above
-
-
-def known_rows(states: FloatArray) -> BoolArray:
-    """Which of the states ``(N, D)`` are known; ``(N,)``."""
-    return np.asarray(np.all(np.isfinite(states), axis=1), dtype=np.bool_)

@@ -1,4 +1,4 @@
-"""The first line of a report: did the run work, said as plainly as the data allow."""
+"""The verdict, the first line of a report: whether the run succeeded."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,11 +9,11 @@ from pipelines.localize.run import BY_ODOMETRY, Run
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the run came to.
+    """The verdict on a run.
 
     Attributes:
         kind: "good", "bad" or "unknown".
-        sentence: for people.
+        sentence: the verdict as text.
     """
 
     kind: str
@@ -25,7 +25,7 @@ def verdict_of(run: Run, errors: TrackEvaluation | None) -> Verdict:
 
     Args:
         run: the run.
-        errors: of its estimate; None where they are unknown.
+        errors: errors of the run's estimate; None where they are unknown.
     """
     last = run.frames[-1]
     known = "" if errors is None else _errors_text(errors, len(run.frames))

@@ -1,4 +1,4 @@
-"""The pictures beside the top view: what the camera saw, and what the model shows at a pose."""
+"""The pictures beside the top view: the camera image, and rendered views at poses."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from pipelines.localize.run import Run
 from pipelines.render.renderer import Renderer, Rendering
 from pipelines.report.style import UNCOVERED_DARK, UNCOVERED_LIGHT
 
-# The largest pictures are four inches wide at 120 pixels an inch; more would only weigh more.
+# The largest pictures are four inches wide at 120 pixels an inch.
 MAX_PICTURE_SIDE = 480
 # Width of a pair of stripes relative to the longer side of the picture.
 STRIPE_PERIOD = 1.0 / 32.0
@@ -23,8 +23,8 @@ class ModelView:
     """A rendered view beside the camera's.
 
     Attributes:
-        picture: ``(H, W, 3)``; pixels that no recorded view covers are striped.
-        covered: ``(H, W)``.
+        picture: ``(H, W, 3)`` RGB; pixels that no recorded view covers are striped.
+        covered: ``(H, W)`` pixels that a recorded view covers.
         mean_difference: mean absolute grey-level difference from the camera image over the covered
             pixels, 0 to 255; NaN where no pixel is covered.
         difference: ``(H, W)`` absolute differences, mean over the colours; NaN where uncovered.
@@ -38,7 +38,13 @@ class ModelView:
 
 @dataclass(frozen=True)
 class FrameViews:
-    """The pictures of one frame, all of the same size; None where there is no pose to render at."""
+    """The pictures of one frame, all of the same size.
+
+    Attributes:
+        real: ``(H, W, 3)`` undistorted camera image.
+        at_estimate: view rendered at the estimate; None without an estimate.
+        at_odometry: view rendered at the pose by odometry; None without odometry.
+    """
 
     real: ImageArray
     at_estimate: ModelView | None
@@ -49,8 +55,8 @@ class ViewMaker:
     """Makes the pictures of frames: undistorted camera images and views rendered like them.
 
     Args:
-        run: holds the camera images, the camera and its mount.
-        renderer: of the scene in which the run was localized.
+        run: the run, which holds the camera images, the camera and its mount.
+        renderer: renders the scene in which the run was localized.
     """
 
     def __init__(self, run: Run, renderer: Renderer) -> None:
@@ -60,7 +66,12 @@ class ViewMaker:
         self._intrinsics = picture_intrinsics(self._undistort.intrinsics)
 
     def views(self, index: int, estimate: FloatArray, odometry: FloatArray | None) -> FrameViews:
-        """The pictures of frame ``index`` with the states ``(D,)`` to render at.
+        """The pictures of a frame.
+
+        Args:
+            index: number of the frame.
+            estimate: state ``(D,)``; NaN where there is none.
+            odometry: state ``(D,)``; None without odometry.
 
         Raises:
             InputError: the stored camera image cannot be decoded.

@@ -1,4 +1,4 @@
-"""The controllers as pure kinematics: they get there from anywhere, within their limits."""
+"""The controllers as pure kinematics: they reach the pose from anywhere, within their limits."""
 
 import math
 
@@ -9,14 +9,8 @@ from hypothesis import strategies as st
 
 from pipelines.artifacts.arrays import FloatArray
 from pipelines.dock.clearance import Clearance
-from pipelines.dock.controller import (
-    diff_movement_along,
-    diff_movement_to,
-    is_near,
-    nearing,
-    omni_movement,
-)
-from pipelines.dock.planar_motion import behind, distance_between, moved, turn_between
+from pipelines.dock.controller import diff_movement_along, diff_movement_to, nearing, omni_movement
+from pipelines.dock.planar_motion import behind, distance_between, is_near, moved, yaw_between
 from pipelines.dock.robot import Movement
 from pipelines.dock.safety import Safety
 from pipelines.dock.settings import DockSettings
@@ -60,7 +54,7 @@ def test_a_differential_drive_gets_to_the_goal_from_anywhere(start: FloatArray) 
     while not is_near(state, STAGING, 0.1, 0.1):
         movement = diff_movement_to(state, STAGING, DIFF, in_area, lambda _: True)
         check_limits(movement, DIFF)
-        # No sideways movement but that of an arc: the chord lies halfway through its turn.
+        # No sideways movement but that of an arc: the chord's direction is half of its yaw.
         assert math.isclose(
             movement.left, movement.forward * math.tan(movement.turn / 2.0), abs_tol=1e-9
         )
@@ -82,31 +76,31 @@ def test_a_differential_drive_keeps_the_goal_in_view_once_it_faces_it(x: float, 
     for _ in range(30):
         movement = diff_movement_to(state, STAGING, DIFF, in_area, lambda _: True)
         state = moved(state, movement)
-        assert abs(turn_between(state, GOAL)) < math.radians(50.0)
+        assert abs(yaw_between(state, GOAL)) < math.radians(50.0)
 
 
-def test_where_nothing_is_seen_aside_the_drive_turns_aside_less() -> None:
+def test_where_the_scene_leaves_the_view_the_drive_rotates_less() -> None:
     start = np.array([1.6, -4.3, GOAL[2]])
 
     def sees(state: FloatArray) -> bool:
         # Nothing of the scene is to be seen to the right of the goal's heading by 15 degrees.
-        return turn_between(GOAL, state) > math.radians(-15.0)
+        return yaw_between(GOAL, state) > math.radians(-15.0)
 
     state = start
     for _ in range(60):
         state = moved(state, diff_movement_to(state, STAGING, DIFF, in_area, sees))
-        assert turn_between(GOAL, state) > math.radians(-25.0)
+        assert yaw_between(GOAL, state) > math.radians(-25.0)
     assert is_near(state, STAGING, 0.1, 0.1)
 
 
 @pytest.mark.parametrize("lost_views", [0, 1, 3, 9])
-def test_a_drive_that_lost_its_view_aside_dares_less_and_still_arrives(lost_views: int) -> None:
+def test_a_drive_that_lost_its_view_rotates_less_and_still_arrives(lost_views: int) -> None:
     state, target = np.array([0.6, 0.2, GOAL[2]]), np.array([0.0, 0.0, GOAL[2]])
     widest = 0.0
     for _ in range(150):
         movement = diff_movement_to(state, target, DIFF, lambda _: True, lambda _: True, lost_views)
         state = moved(state, movement)
-        widest = max(widest, abs(turn_between(state, target)))
+        widest = max(widest, abs(yaw_between(state, target)))
         if is_near(state, target, 0.1, 0.1):
             break
     assert is_near(state, target, 0.1, 0.1)
@@ -169,7 +163,7 @@ PILLAR_RADIUS, ROBOT_RADIUS = 0.15, 0.3
 
 @pytest.mark.parametrize("drive", ["omni", "diff"])
 def test_a_robot_of_60_cm_passes_between_pillars_90_cm_apart(drive: str) -> None:
-    # 2 cm and 0.7 degrees of what the robot believes are wrong, anew in every step.
+    # The estimate errs by 2 cm and 0.7 degrees, independently in every step.
     rng = np.random.default_rng(4)
     chosen = DockSettings(drive=drive, staging_distance=1.6)
     goal = np.array([0.0, -1.0, math.pi / 2.0])

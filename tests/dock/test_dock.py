@@ -1,4 +1,4 @@
-"""Docking in front of a painted wall: it gets there, and every other ending has its name."""
+"""Docking in front of a painted wall: docked, and every other outcome."""
 
 import functools
 import math
@@ -14,11 +14,11 @@ from pipelines.artifacts.errors import OptionError
 from pipelines.dock.dock import Report
 from pipelines.dock.docking_log import Docking
 from pipelines.dock.exploration import Search
-from pipelines.dock.outcomes import Ending
 from pipelines.dock.robot import CheckedRobot, Movement, RobotError
 from pipelines.dock.robots.faults import FaultyRobot
 from pipelines.dock.robots.noise import MotionNoise, SimulatedMotion
 from pipelines.dock.settings import DockSettings
+from pipelines.dock.states import OutcomeKind
 from pipelines.localize.run import Run, load_run, save_run
 from tests.dock_samples import (
     EXACT,
@@ -70,7 +70,7 @@ def test_a_robot_is_docked(drive: str, tmp_path: Any) -> None:
     docking, run = docked(
         robot, near_wall(drive=drive, start=tuple(start)), listener=reports.append
     )
-    assert docking.outcome.ending is Ending.DOCKED
+    assert docking.outcome.kind is OutcomeKind.DOCKED
     check_docked(robot)
     assert [report.step for report in reports] == list(range(len(docking.entries)))
     states = list(dict.fromkeys(report.state for report in reports))
@@ -90,9 +90,9 @@ def test_a_robot_is_docked(drive: str, tmp_path: Any) -> None:
 def test_it_finds_the_wall_when_it_starts_with_its_back_to_it() -> None:
     robot = PaintedRobot(facing_wall(0.2, 1.9, turn=math.pi))
     docking, _ = docked(robot, near_wall(start=None))
-    assert docking.outcome.ending is Ending.DOCKED
+    assert docking.outcome.kind is OutcomeKind.DOCKED
     check_docked(robot)
-    # It has turned on the spot, and not driven, before it knew where it was.
+    # Until it was localized it rotated on the spot and did not drive.
     searching = [entry for entry in docking.entries if entry.state == "searching"]
     assert len(searching) > 4
     assert all(entry.command.distance == 0.0 for entry in searching)
@@ -101,14 +101,14 @@ def test_it_finds_the_wall_when_it_starts_with_its_back_to_it() -> None:
 def test_a_robot_that_is_told_a_wrong_start_finds_out() -> None:
     robot = PaintedRobot(facing_wall(-0.6, 2.2))
     docking, _ = docked(robot, near_wall(start=tuple(facing_wall(1.8, 0.9, turn=0.6))))
-    assert docking.outcome.ending is Ending.DOCKED
+    assert docking.outcome.kind is OutcomeKind.DOCKED
     check_docked(robot)
 
 
 def test_systematic_errors_of_odometry_do_no_harm() -> None:
     robot = PaintedRobot(noise=MotionNoise(scale=0.15, drift=math.radians(9.0)))
     docking, _ = docked(robot, near_wall())
-    assert docking.outcome.ending is Ending.DOCKED
+    assert docking.outcome.kind is OutcomeKind.DOCKED
     check_docked(robot)
 
 
@@ -131,7 +131,7 @@ def test_it_waits_until_people_have_walked_on(drive: str, step: int) -> None:
     inner = PaintedRobot(start)
     robot = FaultyRobot(inner, "people", step)
     docking, _ = docked(robot, near_wall(drive=drive, start=tuple(start)))
-    assert docking.outcome.ending is Ending.DOCKED
+    assert docking.outcome.kind is OutcomeKind.DOCKED
     check_docked(inner)
     states = [entry.state for entry in docking.entries]
     assert states.count("waiting") >= 3
@@ -147,43 +147,47 @@ def test_it_waits_until_people_have_walked_on(drive: str, step: int) -> None:
 @pytest.mark.parametrize("step", [4, 8, 10])
 def test_a_view_that_stays_covered_never_ends_as_docked(drive: str, kind: str, step: int) -> None:
     inner, _, docking, _ = faulty_docking(kind, step, drive)
-    ending = docking.outcome.ending
-    if ending is Ending.DOCKED:
+    outcome = docking.outcome.kind
+    if outcome is OutcomeKind.DOCKED:
         # It was there before.
         check_docked(inner)
         assert len(docking.entries) <= step + 3
         return
-    assert ending in {Ending.VIEW_BLOCKED, Ending.LOST, Ending.ROBOT_FAILED}
+    assert outcome in {OutcomeKind.VIEW_BLOCKED, OutcomeKind.LOST, OutcomeKind.ROBOT_FAILED}
     covered = docking.entries[step:]
     # After the step on which it happened it drives half a metre at most.
     assert sum(entry.command.distance for entry in covered[1:]) < 0.5
 
 
-# --- every other ending -------------------------------------------------------------------------
+# --- every other outcome -------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("fault", "ending", "words"),
+    ("fault", "kind", "words"),
     [
-        ("blocked", Ending.BLOCKED, "did not happen"),
-        ("slipping", Ending.BLOCKED, "did not happen"),
-        ("black", Ending.LOST, "show nothing"),
-        ("frozen", Ending.ROBOT_FAILED, "one and the same, although odometry moves"),
-        ("cover", Ending.VIEW_BLOCKED, "the view stayed covered"),
-        ("driver", Ending.ROBOT_FAILED, "ConnectionError: no answer from the motor controller"),
+        ("blocked", OutcomeKind.BLOCKED, "did not happen"),
+        ("slipping", OutcomeKind.BLOCKED, "did not happen"),
+        ("black", OutcomeKind.LOST, "show nothing"),
+        ("frozen", OutcomeKind.ROBOT_FAILED, "one and the same, although odometry moves"),
+        ("cover", OutcomeKind.VIEW_BLOCKED, "the view stayed covered"),
+        (
+            "driver",
+            OutcomeKind.ROBOT_FAILED,
+            "ConnectionError: no answer from the motor controller",
+        ),
     ],
 )
 def test_a_fault_at_step_4_is_named_and_the_robot_is_stopped(
-    fault: str, ending: Ending, words: str
+    fault: str, kind: OutcomeKind, words: str
 ) -> None:
     _, robot, docking, run = faulty_docking(fault, 4, "omni")
-    assert docking.outcome.ending is ending
+    assert docking.outcome.kind is kind
     assert words in docking.outcome.reason
     assert robot.is_stopped
     assert len(run.frames) == len(docking.entries) > 4
     assert run.docking is not None
-    assert run.docking.exit_code == ending.value
-    assert run.docking.states[-1] == ending.word
+    assert run.docking.exit_code == kind.value
+    assert run.docking.states[-1] == kind.word
 
 
 class Hanging(PaintedRobot):
@@ -202,8 +206,8 @@ class Hanging(PaintedRobot):
 def test_a_camera_that_hangs_ends_the_docking_before_the_robot_goes_far() -> None:
     robot = Hanging()
     docking, run = docked(robot, near_wall())
-    # Not blocked: odometry says that the robot moves, and its camera that it is the camera.
-    assert docking.outcome.ending is Ending.ROBOT_FAILED
+    # Not blocked: odometry says that the robot moves, so that the camera is at fault.
+    assert docking.outcome.kind is OutcomeKind.ROBOT_FAILED
     assert "the camera hangs" in docking.outcome.reason
     assert robot.is_stopped
     stale = [frame.status == "stale" for frame in run.frames]
@@ -214,13 +218,13 @@ def test_a_camera_that_hangs_ends_the_docking_before_the_robot_goes_far() -> Non
 def test_outside_of_the_area() -> None:
     robot = PaintedRobot()
     docking, _ = docked(robot, near_wall(area=(-0.2, 1.0, -2.8, -0.3)))
-    assert docking.outcome.ending is Ending.OUT_OF_AREA
+    assert docking.outcome.kind is OutcomeKind.OUT_OF_AREA
     assert robot.is_stopped
     assert robot.commands == []
 
 
 class Slow(PaintedRobot):
-    """Its camera takes its time."""
+    """Its camera is slow."""
 
     def take_image(self) -> ImageArray:
         time.sleep(0.06)
@@ -232,7 +236,7 @@ class Slow(PaintedRobot):
 )
 def test_timed_out(robot: PaintedRobot, limit: dict[str, Any]) -> None:
     docking, _ = docked(robot, near_wall(**limit))
-    assert docking.outcome.ending is Ending.TIMED_OUT
+    assert docking.outcome.kind is OutcomeKind.TIMED_OUT
     assert robot.is_stopped
 
 
@@ -247,9 +251,9 @@ class Snow(PaintedRobot):
 def test_lost() -> None:
     robot = Snow()
     docking, _ = docked(robot, near_wall(start=None, max_search=14))
-    assert docking.outcome.ending is Ending.LOST
+    assert docking.outcome.kind is OutcomeKind.LOST
     assert robot.is_stopped
-    # It never drives by a guess; backing away is all that it may do.
+    # It never drives towards a guess; it may only back away.
     assert all(forward <= 0.0 and left == 0.0 for forward, left, _ in robot.commands)
 
 
@@ -265,16 +269,16 @@ class Interrupted(PaintedRobot):
 def test_control_c_stops_the_robot_and_keeps_the_run() -> None:
     robot = Interrupted()
     docking, run = docked(robot, near_wall())
-    assert docking.outcome.ending is Ending.INTERRUPTED
+    assert docking.outcome.kind is OutcomeKind.INTERRUPTED
     assert robot.is_stopped
     assert len(run.frames) == 3
 
 
 def test_exit_codes_are_distinct_and_none_is_an_error_or_wrong_usage() -> None:
-    codes = [ending.value for ending in Ending]
+    codes = [kind.value for kind in OutcomeKind]
     assert len(set(codes)) == len(codes)
     assert {1, 2}.isdisjoint(codes)
-    assert [ending for ending in Ending if ending.value == 0] == [Ending.DOCKED]
+    assert [kind for kind in OutcomeKind if kind.value == 0] == [OutcomeKind.DOCKED]
 
 
 # --- bad input ----------------------------------------------------------------------------------
@@ -308,7 +312,7 @@ def test_a_goal_behind_the_surface() -> None:
         (NoNumbers, "three finite numbers"),
     ],
 )
-def test_what_no_robot_should_do(robot: Callable[[], Any], words: str) -> None:
+def test_violations_of_the_robot_protocol(robot: Callable[[], Any], words: str) -> None:
     with pytest.raises(RobotError, match=words):
         checked = CheckedRobot(robot())
         checked.take_image()
@@ -353,9 +357,9 @@ def test_slipping_wheels_are_not_felt() -> None:
     assert EXACT.slip == 0.0
 
 
-def test_a_search_remembers_all_directions_it_looked_in() -> None:
+def test_a_search_remembers_all_directions_viewed() -> None:
     search = Search()
     for _ in range(11):
         search = search.after(Movement(turn=2.0 * math.pi / 12.0))
-    assert search.seen | {search.number} == set(range(12))
+    assert search.viewed | {search.number} == set(range(12))
     assert search.steps == 11

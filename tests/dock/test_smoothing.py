@@ -1,4 +1,4 @@
-"""Fixes that odometry ties together are better than each of them alone."""
+"""Estimates smoothed by odometry are more accurate than each of them alone."""
 
 import math
 
@@ -6,27 +6,27 @@ import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray
 from pipelines.dock.planar_motion import moved, movement_between
-from pipelines.dock.pose_estimate import Fix
+from pipelines.dock.pose_estimate import PoseEstimate
 from pipelines.dock.robot import STANDSTILL, Movement
 from pipelines.dock.smoothing import Smoother
 
 SIGMAS = np.array([0.03, 0.03, math.radians(1.0)])
 
 
-def fix(state: FloatArray, *, refined: bool = True, sure: bool = True) -> Fix:
+def estimate(state: FloatArray, *, refined: bool = True, localized: bool = True) -> PoseEstimate:
     modes = np.array([[*state, 1.0]])
-    return Fix(state, np.diag(SIGMAS**2), modes, refined, sure, False, refined)
+    return PoseEstimate(state, np.diag(SIGMAS**2), modes, refined, localized, False, refined)
 
 
-def drive(seed: int, scale: float) -> tuple[float, float]:
-    """Mean square errors (m^2) of raw and smoothed fixes over an approach in steps of 20 cm."""
+def approach_errors(seed: int, scale: float) -> tuple[float, float]:
+    """Mean square errors (m^2) of raw and smoothed estimates over an approach in steps of 20 cm."""
     rng = np.random.default_rng(seed)
     smoother, state = Smoother(), np.array([0.0, -3.0, math.pi / 2.0])
     measured, raw, smooth = STANDSTILL, [], []
     for _ in range(12):
-        seen = state + SIGMAS * rng.standard_normal(3)
-        better = smoother(fix(seen), measured)
-        raw.append(np.sum((seen - state)[:2] ** 2))
+        measured_state = state + SIGMAS * rng.standard_normal(3)
+        better = smoother(estimate(measured_state), measured)
+        raw.append(np.sum((measured_state - state)[:2] ** 2))
         smooth.append(np.sum((better.state - state)[:2] ** 2))
         command = Movement(0.2, 0.0, 0.0)
         state = moved(state, command)
@@ -38,36 +38,36 @@ def drive(seed: int, scale: float) -> tuple[float, float]:
     return float(np.mean(raw[4:])), float(np.mean(smooth[4:]))
 
 
-def test_smoothed_fixes_are_more_accurate_also_with_wheels_that_measure_too_much() -> None:
+def test_smoothed_estimates_are_more_accurate_even_with_odometry_of_wrong_scale() -> None:
     for scale in (1.0, 1.15):
-        errors = np.mean([drive(seed, scale) for seed in range(30)], axis=0)
+        errors = np.mean([approach_errors(seed, scale) for seed in range(30)], axis=0)
         assert errors[1] < 0.6 * errors[0]
 
 
-def test_the_same_image_again_and_again_does_not_make_it_sure() -> None:
+def test_repeating_one_image_does_not_shrink_the_covariance() -> None:
     smoother = Smoother()
     start = np.array([1.0, -2.0, 1.5])
-    first = smoother(fix(start), STANDSTILL)
+    first = smoother(estimate(start), STANDSTILL)
     wrong = start + np.array([0.03, 0.0, 0.0])
     for _ in range(5):
-        last = smoother(fix(wrong), STANDSTILL)
+        last = smoother(estimate(wrong), STANDSTILL)
     assert last.state[0] < wrong[0] - 0.01
     assert np.trace(last.covariance) > 0.4 * np.trace(first.covariance)
 
 
-def test_another_place_begins_anew() -> None:
+def test_another_place_resets_the_filter() -> None:
     smoother = Smoother()
-    smoother(fix(np.array([0.0, -2.0, 1.5])), STANDSTILL)
+    smoother(estimate(np.array([0.0, -2.0, 1.5])), STANDSTILL)
     there = np.array([2.0, -2.0, 1.5])
-    np.testing.assert_array_equal(smoother(fix(there), Movement(0.1)).state, there)
+    np.testing.assert_array_equal(smoother(estimate(there), Movement(0.1)).state, there)
 
 
-def test_without_a_sure_fix_nothing_is_tied_together() -> None:
+def test_an_estimate_not_localized_resets_the_filter() -> None:
     smoother = Smoother()
-    smoother(fix(np.array([0.0, -2.0, 1.5])), STANDSTILL)
-    unsure = fix(np.array([0.05, -2.0, 1.5]), sure=False)
+    smoother(estimate(np.array([0.0, -2.0, 1.5])), STANDSTILL)
+    unsure = estimate(np.array([0.05, -2.0, 1.5]), localized=False)
     assert smoother(unsure, STANDSTILL) is unsure
-    after = fix(np.array([0.02, -2.0, 1.5]))
+    after = estimate(np.array([0.02, -2.0, 1.5]))
     np.testing.assert_array_equal(smoother(after, STANDSTILL).state, after.state)
 
 

@@ -38,10 +38,10 @@ def equipped(
     return equipment, robot
 
 
-@pytest.mark.parametrize("turn", [math.pi, math.pi / 2.0 + 0.8, -math.pi / 2.0 - 0.8])
-def test_a_goal_turned_away_from_the_wall(turn: float) -> None:
+@pytest.mark.parametrize("yaw", [math.pi, math.pi / 2.0 + 0.8, -math.pi / 2.0 - 0.8])
+def test_a_goal_facing_away_from_the_wall(yaw: float) -> None:
     with pytest.raises(OptionError, match=r"the map shows \d% of what the camera would see"):
-        equipped(facing_wall(0.3, 1.2, turn))
+        equipped(facing_wall(0.3, 1.2, yaw))
 
 
 def bare_wall_scene() -> Scene:
@@ -80,18 +80,18 @@ def test_a_goal_near_the_border_of_the_map_is_taken(x: float) -> None:
 def test_a_staging_pose_that_shows_nothing_is_chosen_nearer() -> None:
     usual, _ = equipped(GOAL)
     assert usual.notes == ()
-    np.testing.assert_allclose(usual.pilot.staging, behind(GOAL, 0.5))
+    np.testing.assert_allclose(usual.state_machine.staging, behind(GOAL, 0.5))
     # From so far back the wall is a speck.
     far = replace(SETTINGS, staging_distance=15.0)
     nearer, _ = equipped(GOAL, None, far)
     assert len(nearer.notes) == 1
     assert "nothing of the view at the staging pose, 15 m back: it is" in nearer.notes[0]
-    distance = distance_between(nearer.pilot.staging, GOAL)
+    distance = distance_between(nearer.state_machine.staging, GOAL)
     assert distance < 12.0
     assert nearer.settings.staging_distance == pytest.approx(distance)
     # In a narrow passage it lies where it was put.
     kept, _ = equipped(GOAL, None, replace(far, robot_radius=0.1))
-    assert distance_between(kept.pilot.staging, GOAL) == pytest.approx(15.0)
+    assert distance_between(kept.state_machine.staging, GOAL) == pytest.approx(15.0)
     assert "may not find the goal from there" in kept.notes[0]
 
 

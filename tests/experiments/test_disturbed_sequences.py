@@ -1,4 +1,4 @@
-"""Drives on which something goes wrong: the truth stays true, odometry knows what it can know."""
+"""Disturbed sequences: their images, their true poses, and their odometry."""
 
 import importlib.util
 import shutil
@@ -15,25 +15,26 @@ from pipelines.artifacts.stages import no_progress
 from pipelines.dataset.dataset import Dataset, load_dataset, poses_at_images
 from pipelines.experiments.disturbed_sequences import (
     COVER,
+    DISTURBED,
     covered_middle,
     odometry_with_jumps,
-    write_disturbed_drives,
+    write_sequences,
 )
 from pipelines.geometry.pose import planar_state_of, world_from_base_planar
 from pipelines.geometry.trajectory import Trajectory
 from tests.chain_samples import ELEVATORS
 
-DRIVE = load_dataset(ELEVATORS / "test")
+RECORDED = load_dataset(ELEVATORS / "test")
 NAMES = ("kidnapped", "dark", "covered-middle", "covered-right")
-# Frames of the recorded drive as the kidnapped robot sees them.
+# Frames of the recorded sequence, in the order of the kidnapped one.
 KIDNAPPED = (*range(10), 19, 18, 17, 16, 15)
 
 
 @pytest.fixture(scope="module")
-def drives(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Dataset]:
-    root = tmp_path_factory.mktemp("drives") / "disturbed"
-    written = write_disturbed_drives(
-        ELEVATORS / "test", root, overwrite=False, progress=no_progress
+def sequences(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Dataset]:
+    root = tmp_path_factory.mktemp("sequences") / "disturbed"
+    written = write_sequences(
+        ELEVATORS / "test", root, DISTURBED, overwrite=False, progress=no_progress
     )
     assert [path.name for path in written] == list(NAMES)
     return {path.name: load_dataset(path) for path in written}
@@ -41,60 +42,62 @@ def drives(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Dataset]:
 
 def states(dataset: Dataset, trajectory: Trajectory | None) -> FloatArray:
     assert trajectory is not None
-    return planar_state_of(poses_at_images(dataset, trajectory, "drive"))
+    return planar_state_of(poses_at_images(dataset, trajectory, "sequence"))
 
 
 def motions(path: FloatArray) -> FloatArray:
-    """Forward, left, turn between poses, by plain trigonometry."""
+    """Forward, left and yaw between poses, by plain trigonometry."""
     found = []
     for before, after in pairwise(path):
         dx, dy = after[:2] - before[:2]
         cos, sin = np.cos(before[2]), np.sin(before[2])
-        turn = (after[2] - before[2] + np.pi) % (2.0 * np.pi) - np.pi
-        found.append((cos * dx + sin * dy, cos * dy - sin * dx, turn))
+        yaw = (after[2] - before[2] + np.pi) % (2.0 * np.pi) - np.pi
+        found.append((cos * dx + sin * dy, cos * dy - sin * dx, yaw))
     return np.array(found)
 
 
-def test_the_truth_is_that_of_the_images(drives: dict[str, Dataset]) -> None:
-    recorded = states(DRIVE, DRIVE.groundtruth)
-    kidnapped = drives["kidnapped"]
+def test_the_truth_is_that_of_the_images(sequences: dict[str, Dataset]) -> None:
+    recorded = states(RECORDED, RECORDED.groundtruth)
+    kidnapped = sequences["kidnapped"]
     assert np.allclose(states(kidnapped, kidnapped.groundtruth), recorded[list(KIDNAPPED)])
     for number, source in enumerate(KIDNAPPED):
-        assert kidnapped.read_image_bytes(number) == DRIVE.read_image_bytes(source)
+        assert kidnapped.read_image_bytes(number) == RECORDED.read_image_bytes(source)
     for name in NAMES[1:]:
-        assert np.allclose(states(drives[name], drives[name].groundtruth), recorded)
-        assert np.array_equal(drives[name].timestamps, DRIVE.timestamps)
-    assert all(drive.camera == DRIVE.camera for drive in drives.values())
+        assert np.allclose(states(sequences[name], sequences[name].groundtruth), recorded)
+        assert np.array_equal(sequences[name].timestamps, RECORDED.timestamps)
+    assert all(sequence.camera == RECORDED.camera for sequence in sequences.values())
 
 
 @pytest.mark.parametrize("name", ["odometry.txt", "odometry_perturbed.txt"])
-def test_odometry_knows_nothing_of_the_jump(drives: dict[str, Dataset], name: str) -> None:
-    source = load_dataset(DRIVE.root, odometry=DRIVE.root / name)
-    drive = load_dataset(drives["kidnapped"].root, odometry=drives["kidnapped"].root / name)
+def test_odometry_does_not_measure_the_jump(sequences: dict[str, Dataset], name: str) -> None:
+    source = load_dataset(RECORDED.root, odometry=RECORDED.root / name)
+    sequence = load_dataset(
+        sequences["kidnapped"].root, odometry=sequences["kidnapped"].root / name
+    )
     recorded = states(source, source.odometry)
-    measured = motions(states(drive, drive.odometry))
+    measured = motions(states(sequence, sequence.odometry))
     assert np.allclose(measured[:9], motions(recorded[:10]))
     assert np.allclose(measured[9], 0.0)
     assert np.allclose(measured[10:], motions(recorded[[19, 18, 17, 16, 15]]))
-    dark = load_dataset(drives["dark"].root, odometry=drives["dark"].root / name)
+    dark = load_dataset(sequences["dark"].root, odometry=sequences["dark"].root / name)
     assert np.allclose(motions(states(dark, dark.odometry)), motions(recorded))
 
 
-def test_five_images_in_the_middle_are_black(drives: dict[str, Dataset]) -> None:
-    dark = drives["dark"]
+def test_five_images_in_the_middle_are_black(sequences: dict[str, Dataset]) -> None:
+    dark = sequences["dark"]
     black = [number for number in range(len(dark)) if not dark.read_image(number).any()]
     assert black == [7, 8, 9, 10, 11]
     for number in set(range(20)) - set(black):
-        assert dark.read_image_bytes(number) == DRIVE.read_image_bytes(number)
+        assert dark.read_image_bytes(number) == RECORDED.read_image_bytes(number)
 
 
 @pytest.mark.parametrize(("name", "inside"), [("middle", (240, 320)), ("right", (240, 500))])
 def test_a_third_is_covered_in_every_image(
-    drives: dict[str, Dataset], name: str, inside: Sequence[int]
+    sequences: dict[str, Dataset], name: str, inside: Sequence[int]
 ) -> None:
-    drive = drives[f"covered-{name}"]
-    for number in range(len(drive)):
-        image, recorded = drive.read_image(number), DRIVE.read_image(number)
+    sequence = sequences[f"covered-{name}"]
+    for number in range(len(sequence)):
+        image, recorded = sequence.read_image(number), RECORDED.read_image(number)
         covered = np.all(image == COVER, axis=2)
         assert covered.mean() == pytest.approx(1.0 / 3.0, abs=0.01)
         assert covered[tuple(inside)]
@@ -128,16 +131,17 @@ def test_what_cannot_be_used_is_said_and_leaves_nothing(
     assert specification.loader is not None
     script = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(script)
-    drive = tmp_path / "drive"
-    shutil.copytree(ELEVATORS / "test", drive)
-    lines = (drive / "rgb.txt").read_text().splitlines()
-    (drive / "rgb.txt").write_text("\n".join(lines[:13]) + "\n")
-    with pytest.raises(InputError, match="has 12 frames, fewer than 15; give a longer drive"):
-        write_disturbed_drives(drive, tmp_path / "out", overwrite=True, progress=no_progress)
-    (drive / "groundtruth.txt").unlink()
-    assert script.main([str(drive), "-o", str(tmp_path / "out")]) == 1
+    sequence = tmp_path / "sequence"
+    shutil.copytree(ELEVATORS / "test", sequence)
+    lines = (sequence / "rgb.txt").read_text().splitlines()
+    (sequence / "rgb.txt").write_text("\n".join(lines[:13]) + "\n")
+    with pytest.raises(InputError, match="has 12 frames, fewer than 15; give a longer sequence"):
+        write_sequences(sequence, tmp_path / "out", DISTURBED, overwrite=True, progress=no_progress)
+    (sequence / "groundtruth.txt").unlink()
+    assert script.main([str(sequence), "-o", str(tmp_path / "out")]) == 1
     err = capsys.readouterr().err
     assert err == (
-        f"robustness.py: {drive}/groundtruth.txt: is missing: nothing could be judged without it\n"
+        f"robustness.py: {sequence}/groundtruth.txt: is missing: errors cannot be measured "
+        "without it\n"
     )
     assert not (tmp_path / "out").exists()

@@ -18,7 +18,7 @@ from pipelines.artifacts.stages import no_progress
 from pipelines.experiments.sweep_config import read_sweep_config
 from pipelines.experiments.sweep_inputs import program_hash
 from pipelines.experiments.sweep_plan import planned_runs
-from pipelines.experiments.sweep_store import kept_result
+from pipelines.experiments.sweep_store import stored_result
 from pipelines.experiments.sweep_workers import run_locally
 from pipelines.lightfield.scene_file import save_scene
 from pipelines.render.devices import Device, resolved_device
@@ -148,7 +148,7 @@ def test_a_run_of_a_sweep_is_the_run_of_the_other_commands(swept: Swept, tmp_pat
         == ("odometry_perturbed.txt", 30, 4)
     ]
     assert len(same) == 1
-    kept = kept_result(root / "out", same[0])
+    kept = stored_result(root / "out", same[0])
     assert kept is not None
     assert kept.program == program_hash()
     result = kept.result
@@ -205,7 +205,7 @@ def test_tables_say_which_pixels_were_compared_where_not_the_usual_ones(
     }
 
 
-def test_a_damaged_result_is_made_again(
+def test_a_damaged_result_is_computed_again(
     swept: Swept, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     run = planned_runs(read_sweep_config(swept.root / "sweep.toml"), no_progress)[0]
@@ -216,10 +216,10 @@ def test_a_damaged_result_is_made_again(
     for damaged in (text[:100], text.replace('"success"', '"succes"'), text.replace(run.key, "0")):
         target.write_text(damaged, encoding="utf-8")
         caplog.clear()
-        assert kept_result(tmp_path, run) is None
-        assert "the run is made again" in caplog.text
+        assert stored_result(tmp_path, run) is None
+        assert "the run is repeated" in caplog.text
     target.write_text(text, encoding="utf-8")
-    assert kept_result(tmp_path, run) is not None
+    assert stored_result(tmp_path, run) is not None
 
 
 def test_results_of_another_program_are_named(swept: Swept, tmp_path: Path) -> None:
@@ -294,7 +294,7 @@ def test_a_process_that_dies_takes_its_own_run_only(swept: Swept) -> None:
     assert second.failure is not None
     assert "SIGKILL" in second.failure
     for run, outcome in ((runs[0], first), (runs[2], third)):
-        kept = kept_result(swept.root / "out", run)
+        kept = stored_result(swept.root / "out", run)
         assert kept is not None
         assert outcome.result is not None
         assert [getattr(outcome.result, name) for name in NOT_TIMES] == [
@@ -322,7 +322,7 @@ def test_a_cluster_gives_the_same_results(swept: Swept, tmp_path: Path) -> None:
     good = [run for run in runs if run.setup.dataset == "good"]
     assert len(results(output)) == len(good) == 2
     for run in good:
-        here, there = kept_result(swept.root / "out", run), kept_result(output, run)
+        here, there = stored_result(swept.root / "out", run), stored_result(output, run)
         assert here is not None
         assert there is not None
         assert [getattr(there.result, name) for name in NOT_TIMES] == [
@@ -337,7 +337,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(swept: Swept, tmp_path: Path) 
         good + 'path = "nowhere"\n': "nowhere: does not exist",
         good + f'path = "{swept.root}/good"\nodometry = "no.txt"\n': "good/no.txt",
         good + f'path = "{swept.root}/good"\nodometry = "none"\n': "none: is missing: a planar",
-        good + f'path = "{ELEVATORS}/map/rgb"\n': "groundtruth.txt: is missing: a sweep judges",
+        good + f'path = "{ELEVATORS}/map/rgb"\n': "groundtruth.txt: is missing: a sweep measures",
         good.replace("scene.h5", "x.h5") + f'path = "{swept.root}/good"\n': "x.h5",
         good: "data set 1: path is missing",
     }

@@ -16,7 +16,7 @@ from pipelines.artifacts.stages import no_progress
 from pipelines.dataset.dataset import load_dataset
 from pipelines.dataset.images import encode_png
 from pipelines.experiments.disturbed_sequences import disturbances
-from pipelines.experiments.null_images import troubles
+from pipelines.experiments.null_images import null_image_disturbances
 from pipelines.experiments.trust_conditions import TrustConditions, read_trust_conditions
 from pipelines.experiments.trust_stage import study_trust
 from pipelines.experiments.trust_study import disturbed_starts, rows_of, tasks_of
@@ -285,7 +285,7 @@ def test_what_cannot_be_run_is_said(folder: Path) -> None:
         ("position_sigma = 0.05", "position_sigma = -1", "condition 3: start position sigma"),
         ("starts = 2", "speed = 2", "unknown key 'speed' in condition 3"),
         ('path = "noise"', 'path = "noise"\ndata = "x"', "condition 2 needs either path or data"),
-        ('path = "noise"', 'path = "nothing"', "nothing: is missing: the drive of condition 2"),
+        ('path = "noise"', 'path = "nothing"', "nothing: is missing: the sequence of condition 2"),
         ('data = "days/noise"', 'data = "../x"', "leads out of the folder of --data"),
         ('odometry = ["odometry.txt"]', 'odometry = "o"\nmethod = "ekf"', "one of filter, pnp"),
         ('odometry = ["odometry.txt"]', "odometry = [1]", "odometry is not a list of file names"),
@@ -338,7 +338,10 @@ def test_the_projects_conditions_name_what_make_makes(name: str, tmp_path: Path)
     text = (ROOT / f"experiments/conditions/{name}.toml").read_text()
     made = {
         **{f"out/experiments/disturbed/{kind.name}": kind.has_truth for kind in disturbances(20)},
-        **{f"out/experiments/troubles/{kind.name}": kind.has_truth for kind in troubles(20)},
+        **{
+            f"out/experiments/troubles/{kind.name}": kind.has_truth
+            for kind in null_image_disturbances(20)
+        },
         "sample_data/elevators/test": True,
         "sample_data/workshop/test": True,
     }

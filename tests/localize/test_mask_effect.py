@@ -12,9 +12,9 @@ from pipelines.artifacts.provenance import sha256_of_file
 from pipelines.dataset.camera_file import CameraFile, format_camera_file
 from pipelines.dataset.images import encode_png
 from pipelines.dataset.importers.placing import format_list
-from pipelines.dock.pose_estimate import Fix
+from pipelines.dock.pose_estimate import PoseEstimate
 from pipelines.dock.robot import STANDSTILL, Movement
-from pipelines.dock.stall_detection import moment_of, stood_still
+from pipelines.dock.stall_detection import is_stalled, snapshot_of
 from pipelines.geometry.camera import Camera, Undistorter
 from pipelines.geometry.pose import world_from_base_planar
 from pipelines.geometry.trajectory import Trajectory, format_tum
@@ -276,12 +276,14 @@ def test_a_board_does_not_make_a_robot_that_drives_seem_to_stand() -> None:
     for image in images:
         image[:, :36] = checks[..., None]
     nowhere = np.empty((0, 4))
-    fix = Fix(TRUTH[0], np.eye(3), nowhere, is_refined=False, is_sure=False, is_blind=False)
+    estimate = PoseEstimate(
+        TRUTH[0], np.eye(3), nowhere, is_refined=False, is_localized=False, is_blind=False
+    )
     step = Movement(0.4, 0.0, 0.0)
     for used, stood in ((None, True), (mask, False)):
-        before, after = (moment_of(image, fix, used) for image in images)
+        before, after = (snapshot_of(image, estimate, used) for image in images)
         # Odometry, too, says that nothing moved: the images decide.
-        assert stood_still(step, STANDSTILL, before, after) is stood
+        assert is_stalled(step, STANDSTILL, before, after) is stood
 
 
 def test_the_command_uses_the_masks_of_data_set_and_option(tmp_path: Path) -> None:

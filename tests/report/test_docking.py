@@ -10,9 +10,9 @@ from matplotlib.patches import Circle
 from PIL import Image
 
 from pipelines.artifacts.stages import no_progress
-from pipelines.dock.outcomes import Ending
 from pipelines.dock.robots.faults import FaultyRobot
 from pipelines.dock.settings import DockSettings
+from pipelines.dock.states import OutcomeKind
 from pipelines.localize.docking_record import DockingRecord
 from pipelines.localize.run import Run
 from pipelines.report.animation import animation
@@ -45,13 +45,13 @@ def test_the_figure_shows_estimated_and_true_distance(run: Run) -> None:
 def test_the_figure_shows_what_stood_in_the_way_and_the_size_of_the_robot(run: Run) -> None:
     tracks = tracks_of(run, None)
     pillars = np.array([[0.4, -1.0], [-0.4, -1.0]])
-    around = replace(surroundings_of(wall_scene(), tracks), standing=pillars)
+    around = replace(surroundings_of(wall_scene(), tracks), obstacles=pillars)
     record = run.docking
     assert record is not None
     sized = replace(run, docking=replace(record, settings={"robot_radius": 0.3}))
     above = docking_figure(sized, around, tracks).axes[0]
     lines = {line.get_label(): line for line in above.lines}
-    dots = np.asarray(lines["what stands on the floor"].get_xydata())
+    dots = np.asarray(lines["obstacle points"].get_xydata())
     np.testing.assert_array_equal(dots, pillars)
     circles = [patch for patch in above.patches if isinstance(patch, Circle)]
     assert len(circles) == len(run.frames)
@@ -97,7 +97,7 @@ def test_a_docking_far_from_the_goal_in_truth_is_no_success(run: Run) -> None:
     elsewhere = replace(run, groundtruth=run.groundtruth + np.array([0.1, 0.0, 0.0]))
     assert docking_verdict(elsewhere).kind == "bad"
     assert run.docking is not None
-    assert run.docking.exit_code == Ending.DOCKED.value
+    assert run.docking.exit_code == OutcomeKind.DOCKED.value
 
 
 def _cut(run: Run, count: int) -> DockingRecord:

@@ -1,4 +1,4 @@
-"""The robot that a name stands for: ``model:``, ``replay:``, ``sim:``, or a class of the user's."""
+"""Robots by name: ``model:``, ``replay:``, ``sim:``, or a class of the user."""
 
 import importlib
 import math
@@ -28,16 +28,17 @@ SIMULATED = ("model", "replay", "sim")
 
 @dataclass(frozen=True)
 class RobotOptions:
-    """Of a simulated robot.
+    """Options of a simulated robot.
 
     Attributes:
-        true_start: ``(x, y, heading)`` where it stands; None: anywhere in the scene's bounds.
-        camera: a ``camera.toml``; None: the scene's first camera, ``camera_width`` pixels across.
-        camera_width: pixels.
+        true_start: x, y (metres) and heading (radians) of its true start; None: drawn from the
+            scene's bounds.
+        camera: a ``camera.toml``; None: the scene's first camera at ``camera_width``.
+        camera_width: width of its images where ``camera`` is None, pixels.
         motion: errors of movements and odometry.
         sensor: errors of images.
-        tracing: how ``sim:`` makes images.
-        fault: kind and step of something that goes wrong, or None.
+        tracing: how a ``sim:`` robot renders images.
+        fault: kind of a fault and the step at which it begins; None: no fault.
     """
 
     true_start: tuple[float, float, float] | None = None
@@ -54,19 +55,19 @@ class RobotOptions:
 
 
 def robot_named(name: str, scene: Scene, options: RobotOptions, seed: int) -> CheckedRobot:
-    """The robot of a name, checked.
+    """The robot that a name stands for, checked.
 
     Args:
         name: ``model:SCENE.h5``, ``replay:DATASET``, ``sim:SCENE.xml`` or ``package.module:Class``.
-        scene: in which it will be docked; simulated robots start in its bounds and take over its
-            camera where nothing else is said.
-        options: of a simulated robot.
-        seed: of its errors.
+        scene: scene in which it will be docked. A simulated robot starts in the scene's bounds and
+            has its camera unless ``options`` say otherwise.
+        options: options of a simulated robot.
+        seed: seed of a simulated robot's errors.
 
     Raises:
-        InputError: a file of the robot's that cannot be used.
-        OptionError: no such kind.
-        RobotError: a class of the user's that is no robot.
+        InputError: a file that the robot needs cannot be used.
+        OptionError: the name has another form.
+        RobotError: a class of the user violates the robot protocol.
         StageError: the simulator is not installed.
     """
     kind, colon, rest = name.partition(":")
@@ -76,17 +77,18 @@ def robot_named(name: str, scene: Scene, options: RobotOptions, seed: int) -> Ch
             "package.module:Class"
         )
     if kind not in SIMULATED:
-        return CheckedRobot(_users(kind, rest))
+        return CheckedRobot(_user_robot(kind, rest))
     robot = _simulated(kind, Path(rest), scene, options, seed)
     return CheckedRobot(robot if options.fault is None else FaultyRobot(robot, *options.fault))
 
 
 def _simulated(kind: str, path: Path, scene: Scene, options: RobotOptions, seed: int) -> Robot:
-    # Streams of their own: another camera noise does not move the robot elsewhere.
+    """A simulated robot of one of the kinds ``SIMULATED``."""
+    # One stream for each purpose: other camera noise does not change the motion.
     placing, moving, seeing = (np.random.default_rng([seed, part]) for part in (1, 2, 3))
     start = options.true_start
-    where = _anywhere(scene, placing) if start is None else np.array(start)
-    motion = SimulatedMotion(where, options.motion, moving)
+    state = _random_state(scene, placing) if start is None else np.array(start)
+    motion = SimulatedMotion(state, options.motion, moving)
     if kind == "replay":
         return ReplayRobot(load_dataset(path), motion)
     world = load_scene(path) if kind == "model" else scene
@@ -96,7 +98,8 @@ def _simulated(kind: str, path: Path, scene: Scene, options: RobotOptions, seed:
     return SimulatorRobot(path, camera, mount, motion, options.sensor, options.tracing, seeing)
 
 
-def _anywhere(scene: Scene, rng: np.random.Generator) -> FloatArray:
+def _random_state(scene: Scene, rng: np.random.Generator) -> FloatArray:
+    """A state ``(3,)`` drawn from a scene's bounds."""
     x_min, x_max, y_min, y_max = scene.bounds
     return np.array(
         [rng.uniform(x_min, x_max), rng.uniform(y_min, y_max), rng.uniform(-math.pi, math.pi)]
@@ -104,10 +107,13 @@ def _anywhere(scene: Scene, rng: np.random.Generator) -> FloatArray:
 
 
 def _camera(world: Scene, options: RobotOptions) -> tuple[Camera, FloatArray]:
+    """Camera and mount ``(4, 4)`` of a simulated robot."""
     if options.camera is not None:
         content = read_camera_file(options.camera)
         if content.base_from_camera is None:
-            raise InputError(options.camera, "has no [mount]: where does the robot carry it?")
+            raise InputError(
+                options.camera, "has no [mount], which says where the camera sits on the robot"
+            )
         return content.camera, content.base_from_camera
     if world.base_from_camera is None:
         raise OptionError(
@@ -121,9 +127,13 @@ def _camera(world: Scene, options: RobotOptions) -> tuple[Camera, FloatArray]:
     return Camera("PINHOLE", small.width, small.height, params), world.base_from_camera
 
 
-def _users(module_name: str, class_name: str) -> Any:
-    """A robot of the user's, made without arguments."""
-    # What lies in the current folder can be imported, as with "python -m".
+def _user_robot(module_name: str, class_name: str) -> Any:
+    """A robot of the user's class, constructed without arguments.
+
+    Raises:
+        RobotError: the class cannot be imported or constructed.
+    """
+    # Modules in the current folder can be imported, as with "python -m".
     here = str(Path.cwd())
     if here not in sys.path:
         sys.path.insert(0, here)

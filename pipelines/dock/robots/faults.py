@@ -1,4 +1,4 @@
-"""What can go wrong with a robot, on purpose: blocked wheels, a covered view, a failing driver."""
+"""Fault injection: simulated robots with blocked wheels, a covered camera, a failing driver."""
 
 from typing import Any
 
@@ -10,23 +10,23 @@ from pipelines.artifacts.errors import OptionError
 from pipelines.dock.robot import KnowsTruth, Robot
 
 KINDS = ("blocked", "slipping", "black", "frozen", "people", "cover", "driver")
-# Passers-by are seen in so many images, and leave so much of the width free.
+# Passers-by cover this many images, and leave this share of the width free.
 PEOPLE_IMAGES, PEOPLE_FREE = 4, 0.25
-# Their clothes have so many patches across the image, of any brightness.
+# Rows and columns of random colour patches in what covers the view.
 PATCHES = (9, 12)
 
 
 class FaultyRobot:
-    """A simulated robot that is in order up to a step.
+    """A simulated robot that works until a fault begins.
 
     Args:
-        robot: the one that is in order.
-        kind: ``blocked`` (wheels do not turn), ``slipping`` (they turn in vain), ``black`` (the
-            camera shows nothing), ``frozen`` (it shows the same image for ever), ``people`` (they
-            walk through the view and cover most of it in ``PEOPLE_IMAGES`` images), ``cover``
-            (something that moves hangs in front of the lens for ever) or ``driver`` (it raises an
-            exception).
-        step: the number of movements after which it happens.
+        robot: the robot without the fault.
+        kind: ``blocked`` (the wheels do not turn), ``slipping`` (the wheels turn, the robot does
+            not move), ``black`` (the camera's images are black), ``frozen`` (the camera repeats its
+            last image), ``people`` (passers-by cover most of the view in ``PEOPLE_IMAGES`` images),
+            ``cover`` (something moving covers the lens from then on) or ``driver`` (the driver
+            raises an exception).
+        step: number of movements after which the fault begins.
 
     Raises:
         OptionError: unknown kind, or a negative step.
@@ -48,13 +48,14 @@ class FaultyRobot:
         self._rng = np.random.default_rng(step)
 
     @property
-    def _happens(self) -> bool:
+    def _is_faulty(self) -> bool:
+        """Whether the fault has begun."""
         return self._moves >= self._step
 
     def take_image(self) -> ImageArray:
-        """See ``Robot.take_image``."""
+        """The robot's camera image, ``(H, W, 3)`` RGB, with the fault."""
         image = self._robot.take_image()
-        if not self._happens:
+        if not self._is_faulty:
             self._last = image
             return image
         self._disturbed_images += 1
@@ -67,38 +68,38 @@ class FaultyRobot:
         return self._covered(image, 0.0) if self._kind == "cover" else image
 
     def _covered(self, image: ImageArray, free: float) -> ImageArray:
-        """The image ``(H, W, 3)`` behind somebody, with a free part of its width on one side."""
+        """An image ``(H, W, 3)`` covered by colour patches but for a share of its width."""
         height, width = image.shape[:2]
-        clothes = self._rng.integers(0, 256, (*PATCHES, 3), dtype=np.uint8)
-        front = cv2.resize(clothes, (width, height), interpolation=cv2.INTER_LINEAR)
+        patches = self._rng.integers(0, 256, (*PATCHES, 3), dtype=np.uint8)
+        front = cv2.resize(patches, (width, height), interpolation=cv2.INTER_LINEAR)
         seen = round(free * width)
         kept = slice(0, seen) if self._disturbed_images % 2 else slice(width - seen, width)
         front[:, kept] = image[:, kept]
         return np.asarray(front, dtype=np.uint8)
 
     def move(self, forward: float, left: float, turn: float) -> Any:
-        """See ``Robot.move``."""
-        happens = self._happens
+        """Moves as ``Robot.move`` says, with the fault."""
+        is_faulty = self._is_faulty
         self._moves += 1
-        if happens and self._kind == "driver":
+        if is_faulty and self._kind == "driver":
             raise ConnectionError("no answer from the motor controller")
-        if happens and self._kind == "blocked":
+        if is_faulty and self._kind == "blocked":
             return self._robot.move(0.0, 0.0, 0.0)
-        if happens and self._kind == "slipping":
+        if is_faulty and self._kind == "slipping":
             self._robot.move(0.0, 0.0, 0.0)
             return forward, left, turn
         return self._robot.move(forward, left, turn)
 
     def stop(self) -> None:
-        """See ``Robot.stop``."""
+        """Stops the robot at once."""
         self.is_stopped = True
         self._robot.stop()
 
     def true_state(self) -> FloatArray:
-        """See ``KnowsTruth``.
+        """True state ``(3,)`` of the robot.
 
         Raises:
-            OptionError: the robot is no simulator.
+            OptionError: the robot is not a simulated one.
         """
         if not isinstance(self._robot, KnowsTruth):
             raise OptionError("faults are for simulated robots")

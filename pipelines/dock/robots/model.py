@@ -1,29 +1,25 @@
-"""``model:SCENE.h5``: a robot whose world is a light field, not the one that it is localized in."""
+"""``model:SCENE.h5``: a simulated robot whose camera images are rendered from a scene model."""
 
 import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray, ImageArray
-from pipelines.dock.robot import Movement
-from pipelines.dock.robots.noise import SensorNoise, SimulatedMotion, as_recorded
+from pipelines.dock.robots.noise import SensorNoise, SimulatedMotion, SimulatedRobot, as_recorded
 from pipelines.geometry.camera import Camera, Undistorter
-from pipelines.geometry.pose import world_from_base_planar
 from pipelines.lightfield.scene import Scene
 from pipelines.render.renderer import Renderer
 from pipelines.render.surface import Quality, quality_named
 
 
-class ModelRobot:
-    """Its camera images are rendered from a scene model.
-
-    What no view of the model shows is grey, as a bare wall would be.
+class ModelRobot(SimulatedRobot):
+    """A robot in a scene model. What the model does not cover is grey, as a bare wall would be.
 
     Args:
-        scene: the robot's world.
+        scene: the robot's world; not the scene that it is localized in.
         camera: without distortion.
-        base_from_camera: ``(4, 4)``.
-        motion: where it is and how it moves.
-        sensor: errors of the images.
-        rng: of these.
+        base_from_camera: ``(4, 4)`` the camera's mount.
+        motion: the robot's true pose, and its errors of movements and odometry.
+        sensor: errors of its images.
+        rng: the random numbers of its images.
     """
 
     def __init__(
@@ -35,28 +31,13 @@ class ModelRobot:
         sensor: SensorNoise,
         rng: np.random.Generator,
     ) -> None:
-        self.camera = camera
-        self.base_from_camera = base_from_camera
+        super().__init__(camera, base_from_camera, motion, sensor, rng)
         self._intrinsics = Undistorter(camera).intrinsics
         quality = quality_named(None, bool(scene.depth), Quality.FINE)
         self._renderer = Renderer.of_scene(scene, 4 * camera.width, quality=quality)
-        self._motion, self._sensor, self._rng = motion, sensor, rng
 
     def take_image(self) -> ImageArray:
-        """The view at the true pose."""
-        pose = world_from_base_planar(self._motion.state) @ self.base_from_camera
-        view = self._renderer.render(pose, self._intrinsics)
+        """The view at the true pose, ``(H, W, 3)`` RGB."""
+        view = self._renderer.render(self._world_from_camera, self._intrinsics)
         image = np.where(view.covered[..., None], view.image, np.uint8(128)).astype(np.uint8)
         return as_recorded(image, self._sensor, self._rng)
-
-    def move(self, forward: float, left: float, turn: float) -> tuple[float, float, float]:
-        """See ``Robot.move``."""
-        measured = self._motion.move(Movement(forward, left, turn))
-        return measured.forward, measured.left, measured.turn
-
-    def stop(self) -> None:
-        """It stands still already."""
-
-    def true_state(self) -> FloatArray:
-        """See ``KnowsTruth``."""
-        return self._motion.state

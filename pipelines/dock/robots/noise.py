@@ -1,7 +1,6 @@
-"""How a simulated robot errs: in its movements, in what its wheels say of them, in its images.
+"""Simulated motion, odometry and camera noise.
 
-Movements and odometry have noise, systematic errors and slip; images have noise and a gain that
-wanders.
+Movements and odometry have noise, systematic errors and slip. Images have noise and a random gain.
 """
 
 import math
@@ -13,20 +12,22 @@ from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.artifacts.errors import OptionError
 from pipelines.dock.planar_motion import moved
 from pipelines.dock.robot import Movement
+from pipelines.geometry.camera import Camera
+from pipelines.geometry.pose import world_from_base_planar
 
 
 @dataclass(frozen=True)
 class MotionNoise:
-    """Errors of movements and of odometry. Zero is allowed everywhere and means: exact.
+    """Errors of movements and of odometry; zero means exact.
 
     Attributes:
-        actuation: standard deviation of a movement from its command, as a share of it.
-        odometry: standard deviation of measured distances, as a share.
-        odometry_turn: standard deviation of the measured turn, radians a step.
-        scale: systematic: odometry measures distances longer by this share.
-        drift: systematic: odometry turns by so many radians a metre driven.
-        slip: probability that a step's wheels turn in part in vain.
-        slip_share: the share of such a step that does not happen.
+        actuation: standard deviation of a movement from its command, as a share of the command.
+        odometry: standard deviation of measured distances, as a share of the distance.
+        odometry_turn: standard deviation of the measured rotation, radians a step.
+        scale: systematic error of measured distances, as a share of the distance.
+        drift: systematic error of the measured rotation, radians a metre driven.
+        slip: probability that the wheels slip in a step.
+        slip_share: share of a movement that is lost when they slip.
 
     Raises:
         OptionError: a value that is not finite, negative noise, or a probability above 1.
@@ -51,12 +52,12 @@ class MotionNoise:
 
 
 class SimulatedMotion:
-    """Where a simulated robot is, and how it gets elsewhere.
+    """True pose of a simulated robot, and how movements change it.
 
     Args:
-        start: ``(3,)`` its true state.
-        noise: of movements and odometry.
-        rng: the only source of randomness.
+        start: ``(3,)`` its true state at the start.
+        noise: errors of movements and odometry.
+        rng: the random numbers of these errors.
     """
 
     def __init__(self, start: FloatArray, noise: MotionNoise, rng: np.random.Generator) -> None:
@@ -65,9 +66,9 @@ class SimulatedMotion:
         self._rng = rng
 
     def move(self, command: Movement) -> Movement:
-        """Moves; returns what odometry measures."""
+        """Moves the robot; returns the movement by odometry."""
         noise = self._noise
-        # The same number of draws in every step, whatever happens in it.
+        # The same number of draws in every step keeps runs comparable.
         errors, slips = self._rng.standard_normal(5), self._rng.random() < noise.slip
         turned = 1.0 + noise.actuation * errors[0]
         driven = 1.0 + noise.actuation * errors[1]
@@ -87,7 +88,7 @@ class SensorNoise:
 
     Attributes:
         noise: standard deviation of each pixel, grey levels.
-        gain: the brightness wanders by up to this share.
+        gain: largest deviation of the random gain from 1.
 
     Raises:
         OptionError: negative or not finite, or a gain of 1 or more.
@@ -105,7 +106,48 @@ class SensorNoise:
 
 
 def as_recorded(image: ImageArray, sensor: SensorNoise, rng: np.random.Generator) -> ImageArray:
-    """An exact image ``(H, W, 3)`` as the camera records it."""
+    """An exact image ``(H, W, 3)`` with the errors of a sensor."""
     gain = 1.0 + sensor.gain * rng.uniform(-1.0, 1.0)
     noisy = gain * image + sensor.noise * rng.standard_normal(image.shape)
     return np.asarray(np.clip(np.rint(noisy), 0.0, 255.0), dtype=np.uint8)
+
+
+class SimulatedRobot:
+    """What all robots that move without recorded images have in common; subclasses take images.
+
+    Args:
+        camera: without distortion.
+        base_from_camera: ``(4, 4)`` the camera's mount.
+        motion: the robot's true pose, and its errors of movements and odometry.
+        sensor: errors of its images.
+        rng: the random numbers of its images.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        base_from_camera: FloatArray,
+        motion: SimulatedMotion,
+        sensor: SensorNoise,
+        rng: np.random.Generator,
+    ) -> None:
+        self.camera = camera
+        self.base_from_camera = base_from_camera
+        self._motion, self._sensor, self._rng = motion, sensor, rng
+
+    @property
+    def _world_from_camera(self) -> FloatArray:
+        """``(4, 4)`` true pose of the camera."""
+        return world_from_base_planar(self._motion.state) @ self.base_from_camera
+
+    def move(self, forward: float, left: float, turn: float) -> tuple[float, float, float]:
+        """Moves as ``Robot.move`` says; returns the movement by odometry."""
+        measured = self._motion.move(Movement(forward, left, turn))
+        return measured.forward, measured.left, measured.turn
+
+    def stop(self) -> None:
+        """Does nothing: the robot stands still between movements."""
+
+    def true_state(self) -> FloatArray:
+        """True state ``(3,)`` of the robot."""
+        return self._motion.state

@@ -1,4 +1,4 @@
-"""``replay:DATASET``: a robot that sees, wherever it goes, the recorded frame nearest to it."""
+"""``replay:DATASET``: a simulated robot whose camera shows the nearest recorded frame."""
 
 import math
 
@@ -11,19 +11,19 @@ from pipelines.dock.robot import Movement
 from pipelines.dock.robots.noise import SimulatedMotion
 from pipelines.geometry.pose import planar_state_of, wrap_angle
 
-# A turn of one radian counts as much as so many metres.
+# In the distance of two poses, one radian counts as much as this many metres.
 METRES_A_RADIAN = 1.0
 
 
 class ReplayRobot:
-    """Its images are those of a data set; it is where the nearest of them was taken.
+    """A robot that stands where the recorded frame nearest to its simulated pose was taken.
 
-    So a docking can be tried out on recorded images. Movements shorter than the distance between
-    recorded poses may have no effect, as with a robot that has to move in such steps.
+    Docking can thus be tried on recorded images. A movement shorter than the distance between
+    recorded poses may have no effect.
 
     Args:
-        dataset: with camera, mount and ground truth.
-        motion: where the commands alone would have led it.
+        dataset: data set with camera, mount and ground truth.
+        motion: the simulated pose, to which the nearest frame is found.
 
     Raises:
         InputError: the data set lacks camera, mount or ground truth.
@@ -45,11 +45,11 @@ class ReplayRobot:
         self._motion = motion
 
     def take_image(self) -> ImageArray:
-        """The nearest recorded image."""
+        """The nearest recorded image, ``(H, W, 3)`` RGB."""
         return self._dataset.read_image(self._nearest())
 
     def move(self, forward: float, left: float, turn: float) -> tuple[float, float, float]:
-        """See ``Robot.move``; odometry tells the movement from frame to frame."""
+        """Moves as ``Robot.move`` says; odometry is exact from frame to frame."""
         before = self.true_state()
         self._motion.move(Movement(forward, left, turn))
         after = self.true_state()
@@ -62,13 +62,14 @@ class ReplayRobot:
         )
 
     def stop(self) -> None:
-        """It stands still already."""
+        """Does nothing: the robot stands still between movements."""
 
     def true_state(self) -> FloatArray:
-        """See ``KnowsTruth``."""
+        """State ``(3,)`` at which the nearest frame was taken."""
         return np.asarray(self._states[self._nearest()])
 
     def _nearest(self) -> int:
+        """Number of the frame nearest to the simulated pose."""
         offsets = self._states - self._motion.state
-        turns = METRES_A_RADIAN * wrap_angle(offsets[:, 2])
-        return int(np.argmin(np.sum(offsets[:, :2] ** 2, axis=1) + turns**2))
+        yaws = METRES_A_RADIAN * wrap_angle(offsets[:, 2])
+        return int(np.argmin(np.sum(offsets[:, :2] ** 2, axis=1) + yaws**2))

@@ -1,8 +1,8 @@
-"""``sim:SCENE.xml``: a robot in a Mitsuba scene, with path-traced camera images.
+"""``sim:SCENE.xml``: a simulated robot in a Mitsuba scene, with path-traced camera images.
 
-The scene holds geometry, materials, light and an integrator; the sensor is put into it here. No
-GPU is needed. Mitsuba's variant ``llvm_ad_rgb`` is two to three times as quick as ``scalar_rgb``
-and needs the library LLVM; the two draw other random numbers, so that their images differ in noise.
+The scene holds geometry, materials, light and an integrator; the sensor is added here. No GPU is
+needed. Mitsuba's variant ``llvm_ad_rgb`` is two to three times as fast as ``scalar_rgb`` and needs
+the library LLVM. The two draw different random numbers, so that their images differ in noise.
 """
 
 import os
@@ -17,31 +17,29 @@ import numpy as np
 
 from pipelines.artifacts.arrays import Float32Array, FloatArray, ImageArray
 from pipelines.artifacts.errors import InputError, OptionError, StageError
-from pipelines.dock.robot import Movement
-from pipelines.dock.robots.noise import SensorNoise, SimulatedMotion, as_recorded
+from pipelines.dock.robots.noise import SensorNoise, SimulatedMotion, SimulatedRobot, as_recorded
 from pipelines.geometry.camera import Camera, Intrinsics
-from pipelines.geometry.pose import world_from_base_planar
 
-# From fast to slow; the last one always works.
+# Mitsuba's variants from fast to slow; the last one always works.
 VARIANTS = ("llvm_ad_rgb", "scalar_rgb")
 FASTEST = "fastest"
 INSTALL = "pip install 'lfnav[sim]'"
 # Mitsuba's camera looks along z with x to the left and y up.
 CAMERA_FROM_MITSUBA = np.diag([-1.0, -1.0, 1.0, 1.0])
-# Radiance beyond this is a firefly of the path tracer, not a lamp.
+# Radiance is clipped at this: beyond it are fireflies of the path tracer, not lamps.
 LARGEST_RADIANCE = 30.0
-# Strength, patch and window of the non-local means that stand for the camera's own noise reduction.
+# Strength, patch and window of non-local means, which models the camera's own noise reduction.
 DENOISING, PATCH, WINDOW = 12.0, 3, 11
 
 
 @dataclass(frozen=True)
 class PathTracing:
-    """How images are made.
+    """How images are rendered.
 
     Attributes:
-        samples: paths a pixel.
-        denoise: whether the noise of so few paths is smoothed away.
-        variant: of Mitsuba; ``fastest``: the first of ``VARIANTS`` that loads.
+        samples: number of paths a pixel.
+        denoise: whether the path tracer's noise is smoothed.
+        variant: Mitsuba's variant; ``fastest``: the first of ``VARIANTS`` that loads.
 
     Raises:
         OptionError: no samples, or an unknown variant.
@@ -60,17 +58,17 @@ class PathTracing:
             )
 
 
-class SimulatorRobot:
-    """Its camera images are path-traced.
+class SimulatorRobot(SimulatedRobot):
+    """A robot whose camera images are path-traced.
 
     Args:
         path: the Mitsuba scene.
         camera: without distortion.
-        base_from_camera: ``(4, 4)``.
-        motion: where it is and how it moves.
-        sensor: errors of the images.
-        tracing: how images are made.
-        rng: of the errors and of the paths.
+        base_from_camera: ``(4, 4)`` the camera's mount.
+        motion: the robot's true pose, and its errors of movements and odometry.
+        sensor: errors of its images.
+        tracing: how images are rendered.
+        rng: the random numbers of its images, paths included.
 
     Raises:
         StageError: Mitsuba is not installed, or its variant does not load.
@@ -92,20 +90,19 @@ class SimulatorRobot:
             raise OptionError(
                 "the simulator's camera has no lens distortion; give a PINHOLE camera"
             )
-        self.camera = camera
-        self.base_from_camera = base_from_camera
+        super().__init__(camera, base_from_camera, motion, sensor, rng)
         self._mitsuba = imported_mitsuba(tracing.variant)
         self._variant = str(self._mitsuba.variant())
         self.note = f"path-traced, {self._variant}, {tracing.samples} paths a pixel"
         self._scene = _loaded(self._mitsuba, path)
-        self._motion, self._sensor, self._tracing, self._rng = motion, sensor, tracing, rng
+        self._tracing = tracing
 
     def take_image(self) -> ImageArray:
-        """The view at the true pose."""
-        # The variant is a setting of the whole process; another robot may have chosen its own.
+        """The view at the true pose, ``(H, W, 3)`` RGB."""
+        # The variant is a setting of the process; another robot may have changed it.
         self._mitsuba.set_variant(self._variant)
-        pose = world_from_base_planar(self._motion.state) @ self.base_from_camera
-        sensor = _sensor(self._mitsuba, pose, self.camera.intrinsics, self._tracing.samples)
+        pose, intrinsics = self._world_from_camera, self.camera.intrinsics
+        sensor = _sensor(self._mitsuba, pose, intrinsics, self._tracing.samples)
         rendered = self._mitsuba.render(
             self._scene,
             sensor=sensor,
@@ -116,18 +113,6 @@ class SimulatorRobot:
         if self._tracing.denoise:
             image = _denoised(image)
         return as_recorded(image, self._sensor, self._rng)
-
-    def move(self, forward: float, left: float, turn: float) -> tuple[float, float, float]:
-        """See ``Robot.move``."""
-        measured = self._motion.move(Movement(forward, left, turn))
-        return measured.forward, measured.left, measured.turn
-
-    def stop(self) -> None:
-        """It stands still already."""
-
-    def true_state(self) -> FloatArray:
-        """See ``KnowsTruth``."""
-        return self._motion.state
 
 
 def imported_mitsuba(variant: str = FASTEST) -> Any:
@@ -140,8 +125,8 @@ def imported_mitsuba(variant: str = FASTEST) -> Any:
         StageError: it is not installed, or the variant does not load.
     """
     try:
-        # Where LLVM is missing, Mitsuba's C++ part says so on the terminal by itself.
-        with _silent_terminal():
+        # Mitsuba's C++ part writes to the terminal where LLVM is missing.
+        with _silent_stderr():
             import mitsuba
     except ImportError as error:
         raise StageError(
@@ -164,7 +149,7 @@ _REMEDIES = {
 
 
 def _does_load(mitsuba: Any, variant: str) -> bool:
-    """Whether a variant is there and has what it needs."""
+    """Whether a variant is installed, with the library that it needs."""
     if variant not in mitsuba.variants():
         return False
     if not variant.startswith("llvm"):
@@ -175,8 +160,8 @@ def _does_load(mitsuba: Any, variant: str) -> bool:
 
 
 @contextmanager
-def _silent_terminal() -> Iterator[None]:
-    """Nothing that a library writes to the standard error's descriptor is seen."""
+def _silent_stderr() -> Iterator[None]:
+    """Discards what a library writes to the file descriptor of standard error."""
     terminal, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(nowhere, 2)
@@ -188,7 +173,7 @@ def _silent_terminal() -> Iterator[None]:
 
 
 def developed(radiance: Float32Array) -> ImageArray:
-    """An image ``(H, W, 3)`` from linear radiance: the response curve of the sample data's photos.
+    """An image ``(H, W, 3)`` from linear radiance, by the response curve of the sample photos.
 
     x = L (1 + L / 9) / (1 + L) * 1.35 (Reinhard et al. 2002, equation 4, white point 3), clipped,
     then the sRGB curve.
@@ -202,23 +187,36 @@ def developed(radiance: Float32Array) -> ImageArray:
 
 
 def _denoised(image: ImageArray) -> ImageArray:
+    """An image ``(H, W, 3)`` smoothed by non-local means."""
     smooth = cv2.fastNlMeansDenoisingColored(image, None, DENOISING, DENOISING, PATCH, WINDOW)
     return np.asarray(smooth, dtype=np.uint8)
 
 
 def _loaded(mitsuba: Any, path: Path) -> Any:
+    """A Mitsuba scene.
+
+    Raises:
+        InputError: the scene does not load.
+    """
     if not path.is_file():
         raise InputError(path, "does not exist")
     try:
         return mitsuba.load_file(str(path.resolve()))
     except Exception as error:
-        # Mitsuba raises RuntimeError and others, with traces of several lines.
+        # Mitsuba raises RuntimeError and others, with messages of several lines.
         reason = " ".join(str(error).split())[:200]
         raise InputError(path, f"is no scene that Mitsuba can load ({reason})") from error
 
 
 def _sensor(mitsuba: Any, pose: FloatArray, pinhole: Intrinsics, samples: int) -> Any:
-    """A perspective sensor at ``pose`` (world_from_camera) with a pinhole's field of view."""
+    """A Mitsuba sensor.
+
+    Args:
+        mitsuba: the module.
+        pose: ``(4, 4)`` world_from_camera.
+        pinhole: intrinsics of the camera.
+        samples: number of paths a pixel.
+    """
     fov = np.degrees(2.0 * np.arctan2(pinhole.width / 2.0, pinhole.fx))
     return mitsuba.load_dict(
         {
