@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import IO, Any
 
 import pipelines
-from pipelines.artifacts.errors import StageError
+from pipelines.artifacts.errors import StageError, quoted
 
 QUOTED_CHARACTERS = 300
 PR_SET_PDEATHSIG = 1  # from linux/prctl.h
@@ -114,7 +114,7 @@ class WorkerProcess:
         except ValueError:
             event = None
         if not isinstance(event, dict):
-            raise StageError(f"the worker for {self._work} said {line[:QUOTED_CHARACTERS]!r}")
+            raise StageError(f"the worker for {self._work} said {quoted(line)}")
         return event
 
     def _epitaph(self) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pipelines.artifacts.arrays import FloatArray
-from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.artifacts.errors import InputError, OptionError, quoted, reason_of
 from pipelines.geometry.camera import CAMERA_MODELS, Camera
 from pipelines.geometry.pose import base_from_camera_mount, mount_of
 
@@ -47,7 +47,7 @@ def read_camera_file(path: Path) -> CameraFile:
     except OSError as error:
         raise InputError(path, f"cannot be read ({error.strerror or error})") from error
     except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
-        raise InputError(path, f"is not TOML ({error})") from error
+        raise InputError(path, f"is not TOML ({reason_of(error)})") from error
     _check_keys(path, table, _REQUIRED_KEYS, _OPTIONAL_KEYS, "")
     depth_scale = _number(path, table, "depth_scale") if "depth_scale" in table else None
     if depth_scale is not None and depth_scale <= 0.0:
@@ -123,11 +123,11 @@ def _check_keys(
 def _number(path: Path, table: Mapping[str, Any], key: str, prefix: str = "") -> float:
     value = table[key]
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(path, f"{prefix}{key}: {value!r} is not a number")
+        raise InputError(path, f"{prefix}{key}: {quoted(value)} is not a number")
     try:
         number = float(value)
     except OverflowError:
         number = math.inf
     if not math.isfinite(number):
-        raise InputError(path, f"{prefix}{key}: {value!r} is not finite")
+        raise InputError(path, f"{prefix}{key}: {value} is not finite")
     return number

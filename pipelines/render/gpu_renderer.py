@@ -15,7 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipelines.artifacts.arrays import BoolArray, Float32Array, FloatArray, ImageArray
+from pipelines.artifacts.arguments import checked_instance
+from pipelines.artifacts.arrays import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    ImageArray,
+    checked_array,
+)
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
 from pipelines.lightfield.views import Views
@@ -42,7 +49,7 @@ from pipelines.render.gpu_work import (
     tile_bytes,
     tiles_of,
 )
-from pipelines.render.renderer import Renderer, Rendering, check_query
+from pipelines.render.renderer import Renderer, Rendering, check_query, checked_view
 from pipelines.render.surface import Quality, cell_size
 
 POSE_BYTES = 48
@@ -101,13 +108,15 @@ class GpuRenderer(Renderer):
 
     def render(self, world_from_camera: FloatArray, intrinsics: Intrinsics) -> Rendering:
         """Renders one virtual view; see ``Renderer.render``."""
-        images, covered = self.render_many(world_from_camera[None], intrinsics)
+        pose = checked_view(world_from_camera, intrinsics)
+        images, covered = self.render_many(pose[None], intrinsics)
         return Rendering(np.rint(images[0]).astype(np.uint8), covered[0])
 
     def render_many(
         self, world_from_camera: FloatArray, intrinsics: Intrinsics
     ) -> tuple[Float32Array, BoolArray]:
         """Renders many virtual views; see ``Renderer.render_many``."""
+        world_from_camera = checked_view(world_from_camera, intrinsics, (None, 4, 4))
         sizes = self._sizes(intrinsics, has_images=True)
         shape = (len(world_from_camera), intrinsics.height, intrinsics.width)
         images = np.empty((*shape, 3), dtype=np.float32)
@@ -141,7 +150,8 @@ class GpuRenderer(Renderer):
     ) -> FloatArray:
         """Compares the views rendered at many poses with one image; see ``Renderer.costs``."""
         check_query(query, intrinsics)
-        table = evidence_table(cost, evidence)
+        table = evidence_table(checked_instance(cost, "cost", Cost), evidence)
+        world_from_camera = checked_array(world_from_camera, "world_from_camera", (None, 4, 4))
         sizes = self._sizes(intrinsics, needs_two_passes(cost, fit_gain))
         photo = photo_of(query)
         if evidence is not None:

@@ -6,17 +6,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipelines.artifacts.arguments import checked_index, checked_instance, checked_number
 from pipelines.artifacts.arrays import (
     BoolArray,
     Float32Array,
     FloatArray,
     ImageArray,
     Int32Array,
+    Shape,
+    checked_array,
 )
 from pipelines.artifacts.errors import OptionError
 from pipelines.artifacts.processes import processor_count
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
+from pipelines.geometry.pose import checked_poses
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.views import Views, views_of_scene, without_depth, without_view
 from pipelines.render.blending import Blending
@@ -36,6 +40,7 @@ from pipelines.render.surface import usual_inverse_depth as median_inverse_depth
 # evenly between threads. Rendered images are kept; there it is so many pixels.
 POSES_TOGETHER = 256
 PIXELS_TOGETHER = 80_000
+MAX_THREADS = 4096
 ONE = np.float32(1.0)
 
 
@@ -84,20 +89,25 @@ class RenderingWithSurface:
 class Renderer:
     """Renders virtual views of a light field and scores them against camera images.
 
+    As Heigl, Denzler, Niemann (2001), section 2, views are rendered directly from the photos over
+    the scene's surface; which photos a pixel is blended from, ``Blending`` says. Cameras have the
+    axes of OpenCV (x right, y down, z forward), worlds those of REP-103.
+
     Works on all processors of the process's affinity unless ``threads`` says otherwise; results do
     not depend on the number of threads.
 
     Args:
-        views: the photos.
+        views: the photos, as ``views_of_scene`` prepares them; from a scene: ``of_scene``.
         plane: the scene's surface where ``quality`` is ``PLANE``.
         blending: the rule that chooses and weights the views.
         quality: how finely the surface follows the views' depth maps.
-        threads: None: one a processor.
-        usual_inverse_depth: of the depth maps, see ``proxy.usual_inverse_depth``; None: not known
-            yet.
+        threads: how many work; None: one a processor.
+        usual_inverse_depth: the median of what the depth maps hold, 1 / metres; None: it is
+            computed here.
 
     Raises:
-        OptionError: no threads, or a quality that needs depth maps where there are none.
+        OptionError: no threads, or a quality that needs depth maps where there are none; an
+            argument of another type.
     """
 
     def __init__(
@@ -109,8 +119,12 @@ class Renderer:
         threads: int | None = None,
         usual_inverse_depth: float | None = None,
     ) -> None:
-        if threads is not None and threads < 1:
-            raise OptionError(f"{threads} threads cannot do any work; give at least 1")
+        checked_instance(views, "views", Views)
+        checked_instance(plane, "plane", Plane)
+        checked_instance(blending, "blending", Blending)
+        checked_instance(quality, "quality", Quality)
+        if threads is not None:
+            checked_number(threads, "number of threads", 1, MAX_THREADS, whole=True)
         if quality is not Quality.PLANE and not views.has_depth:
             raise OptionError(
                 f"quality {quality.name.lower()} needs depth maps, and the scene has none; "
@@ -153,22 +167,33 @@ class Renderer:
 
         Args:
             scene: the light field.
-            largest_side: photos are area-averaged to so many pixels at most.
+            largest_side: photos are area-averaged to so many pixels at most; None: as recorded.
             blending: the rule that chooses and weights the views.
             quality: how finely the surface follows the views' depth maps.
-            threads: None: one a processor.
+            threads: how many work; None: one a processor.
             views: rendered in the place of the scene's own photos where they are given: the same
                 photos in other channels.
 
         Raises:
-            OptionError: as for the class.
+            OptionError: no threads, a side without pixels, or a quality that needs depth maps where
+                there are none; an argument of another type.
+            InputError: a photo of the scene cannot be decoded.
         """
+        checked_instance(scene, "the scene", Scene)
         if views is None:
             views = views_of_scene(scene, largest_side)
         return cls(views, scene.plane, blending, quality, threads)
 
     def without_view(self, index: int) -> "Renderer":
-        """A renderer of all other photos, on the CPU."""
+        """A renderer of all other photos, on the CPU.
+
+        Args:
+            index: of the view that is left out, from 0.
+
+        Raises:
+            OptionError: no such view.
+        """
+        index = checked_index(index, "views", len(self.views))
         return Renderer(
             without_view(self.views, index),
             self.plane,
@@ -183,10 +208,14 @@ class Renderer:
         """Renders one virtual view.
 
         Args:
-            world_from_camera: ``(4, 4)``.
+            world_from_camera: ``(4, 4)`` where the virtual camera is, metres.
             intrinsics: of the virtual camera; they also set the size of the image.
+
+        Raises:
+            OptionError: a pose that is no rigid transform, or intrinsics of another type.
         """
-        images, _ = self._draw(world_from_camera[None], intrinsics)
+        pose = checked_view(world_from_camera, intrinsics)
+        images, _ = self._draw(pose[None], intrinsics)
         return Rendering(np.rint(images[0, ..., :3]).astype(np.uint8), images[0, ..., 3] > 0.0)
 
     def render_with_surface(
@@ -195,10 +224,14 @@ class Renderer:
         """Renders one virtual view together with the surface that it was rendered over.
 
         Args:
-            world_from_camera: ``(4, 4)``.
-            intrinsics: of the virtual camera.
+            world_from_camera: ``(4, 4)`` where the virtual camera is, metres.
+            intrinsics: of the virtual camera; they also set the size of the image.
+
+        Raises:
+            OptionError: a pose that is no rigid transform, or intrinsics of another type.
         """
-        images, surfaces = self._draw(world_from_camera[None], intrinsics)
+        pose = checked_view(world_from_camera, intrinsics)
+        images, surfaces = self._draw(pose[None], intrinsics)
         return RenderingWithSurface(images[0], surfaces[0])
 
     def render_many(
@@ -207,14 +240,17 @@ class Renderer:
         """Renders many virtual views.
 
         Args:
-            world_from_camera: ``(M, 4, 4)``.
-            intrinsics: of the virtual camera.
+            world_from_camera: ``(M, 4, 4)`` where the virtual cameras are, metres.
+            intrinsics: of all virtual cameras; they also set the size of the images.
 
         Returns:
             Images ``(M, H, W, 3)`` RGB, 0 to 255, zero where uncovered, and covered pixels
             ``(M, H, W)``.
+
+        Raises:
+            OptionError: a pose that is no rigid transform, or intrinsics of another type.
         """
-        poses = np.ascontiguousarray(world_from_camera, dtype=np.float64)
+        poses = np.ascontiguousarray(checked_view(world_from_camera, intrinsics, (None, 4, 4)))
         shape = (len(poses), intrinsics.height, intrinsics.width)
         images = np.empty((*shape, 3), dtype=np.float32)
         covered = np.empty(shape, dtype=np.bool_)
@@ -239,9 +275,10 @@ class Renderer:
         """Compares the views rendered at many poses with one camera image.
 
         Args:
-            world_from_camera: ``(M, 4, 4)``.
+            world_from_camera: ``(M, 4, 4)`` where the camera may have been, metres.
             intrinsics: of the camera image.
-            query: ``(H, W, 3)`` camera image, RGB, undistorted; NaN where it is not to be compared.
+            query: ``(H, W, 3)`` camera image, RGB, 0 to 255, undistorted; NaN where it is not to be
+                compared.
             cost: the kind of comparison.
             fit_gain: whether a brightness factor is fitted for each pose.
             evidence: what differences say; of EVIDENCE alone, and needed there.
@@ -250,12 +287,15 @@ class Renderer:
             ``(M,)`` costs, in [0, 1] but for EVIDENCE.
 
         Raises:
-            OptionError: the image has another size than its intrinsics, or EVIDENCE without a
-                table.
+            OptionError: poses that are not finite numbers of this shape, an image of another size
+                than its intrinsics, or EVIDENCE without what differences say.
         """
         check_query(query, intrinsics)
-        table = evidence_table(cost, evidence)
-        poses = np.ascontiguousarray(world_from_camera, dtype=np.float64)
+        table = evidence_table(checked_instance(cost, "cost", Cost), evidence)
+        checked_instance(fit_gain, "fit_gain", bool)
+        # Of poses by the hundred, that they are rotations is left to whoever made them.
+        poses = checked_array(world_from_camera, "world_from_camera", (None, 4, 4))
+        poses = np.ascontiguousarray(poses)
         costs = np.empty(len(poses))
         # Gradients are differences between neighbours; else what is not compared is not rendered.
         if cost is Cost.GRADIENT:
@@ -312,12 +352,28 @@ def every_pixel(intrinsics: Intrinsics) -> Int32Array:
     return np.arange(intrinsics.width * intrinsics.height, dtype=np.int32)
 
 
+def checked_view(
+    world_from_camera: FloatArray,
+    intrinsics: Intrinsics,
+    shape: Shape = (4, 4),
+) -> FloatArray:
+    """Poses of virtual cameras, as ``shape`` says, that are rigid transforms.
+
+    Raises:
+        OptionError: others, or intrinsics that are none.
+    """
+    checked_instance(intrinsics, "intrinsics", Intrinsics)
+    return checked_poses(world_from_camera, "world_from_camera", shape)
+
+
 def check_query(query: ImageArray | Float32Array, intrinsics: Intrinsics) -> None:
     """Refuses a camera image that is not ``(H, W, 3)`` of its intrinsics.
 
     Raises:
-        OptionError: another size.
+        OptionError: another size, or no array.
     """
+    checked_instance(intrinsics, "intrinsics", Intrinsics)
+    checked_instance(query, "camera image", np.ndarray)
     if query.shape != (intrinsics.height, intrinsics.width, 3):
         raise OptionError(
             f"camera image of shape {query.shape} for intrinsics of "
