@@ -63,6 +63,8 @@ def checked_array(
 
 def _holds(wanted: type[np.generic], found: np.dtype[Any]) -> bool:
     """Whether numbers of one type are numbers of another; truth values are no numbers."""
+    if found == wanted:
+        return True
     if (found.kind == "b") != (np.dtype(wanted).kind == "b"):
         return False
     return found.kind in "biuf" and np.can_cast(found, wanted, "safe")
