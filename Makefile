@@ -155,4 +155,4 @@ bench-against: $(STAMP)
 
 clean:
 	rm -rf out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
-	find lfnav_cli pipelines tests benchmarks experiments -name __pycache__ -type d -prune -exec rm -rf {} +
+	find lfnav lfnav_cli pipelines tests benchmarks experiments -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -28,11 +28,12 @@ import numpy as np
 from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.atomic import write_text
 from pipelines.dock.dock import Report
+from pipelines.dock.goals import Goal
 from pipelines.dock.robots.choice import RobotOptions
 from pipelines.dock.robots.noise import MotionNoise
 from pipelines.dock.robots.simulator import PathTracing
 from pipelines.dock.settings import DockSettings
-from pipelines.dock.stage import DockSummary, Goal, dock_robot
+from pipelines.dock.stage import DockSummary, dock_robot
 from pipelines.lightfield.scene_file import load_scene
 from pipelines.localize.settings import LocalizerSettings
 

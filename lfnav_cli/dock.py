@@ -292,8 +292,9 @@ def command(
     if output is None and not is_dry:
         raise click.UsageError("give the run file with -o, or --dry-run")
 
+    from pipelines.dock.goals import Goal
     from pipelines.dock.settings import DockSettings
-    from pipelines.dock.stage import Goal, dock_robot, dry_run
+    from pipelines.dock.stage import dock_robot, dry_run
     from pipelines.localize.settings import LocalizerSettings
     from pipelines.render.devices import Device
 

@@ -135,7 +135,7 @@ def another_size(place: Place) -> Refusal:
 
 def image_not_there(place: Place) -> Refusal:
     (place.data / "rgb/0001.jpg").unlink()
-    return Refusal(place.localize(), place.data / "rgb.txt", r"line 2: rgb/0001.jpg is not there")
+    return Refusal(place.localize(), place.data / "rgb.txt", r"line 2: 'rgb/0001.jpg' is not there")
 
 
 def one_time_does_not_pair(place: Place) -> Refusal:

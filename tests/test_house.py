@@ -40,11 +40,12 @@ def name_of(path: Path) -> str:
 
 PIPELINES = modules_of("pipelines")
 FRONT_DOOR = modules_of("lfnav_cli")
+PUBLIC = modules_of("lfnav")
 every_pipelines_module = pytest.mark.parametrize("path", PIPELINES, ids=name_of)
 every_front_door_module = pytest.mark.parametrize("path", FRONT_DOOR, ids=name_of)
 NATIVE = sorted((ROOT / "native").glob("*.[ch]pp"))
 every_native_file = pytest.mark.parametrize("path", NATIVE, ids=name_of)
-every_module = pytest.mark.parametrize("path", PIPELINES + FRONT_DOOR, ids=name_of)
+every_module = pytest.mark.parametrize("path", PIPELINES + FRONT_DOOR + PUBLIC, ids=name_of)
 
 
 def imported_modules(node: ast.stmt, module: tuple[str, ...], is_package: bool) -> list[str]:
@@ -72,7 +73,7 @@ def floor_violations(tree: ast.Module, module: tuple[str, ...], is_package: bool
             continue
         for name in imported_modules(node, module, is_package):
             parts = name.split(".")
-            if parts[0] in {"lfnav_cli", "tests", "benchmarks"}:
+            if parts[0] in {"lfnav", "lfnav_cli", "tests", "benchmarks"}:
                 violations.append(f"line {node.lineno}: {name}")
             elif parts[0] != "pipelines" or len(parts) < 2 or parts[1] == package:
                 continue
@@ -121,6 +122,7 @@ def test_imports_go_down(path: Path) -> None:
         ("def f():\n    from pipelines.report.page import g", False),
         ("if TYPE_CHECKING:\n    from pipelines.localize.run import Run", False),
         ("from lfnav_cli.common import one_line", False),
+        ("from lfnav import Localizer", False),
         ("from pipelines.unheard_of import x", False),
     ],
 )
@@ -219,7 +221,45 @@ def test_the_check_of_the_front_door_sees_heavy_imports(source: str, light: bool
     assert (heavy_imports(ast.parse(source)) == []) is light
 
 
-@pytest.mark.parametrize("path", PIPELINES + FRONT_DOOR + NATIVE, ids=name_of)
+def more_than_names(tree: ast.Module) -> list[str]:
+    """Statements of the public package beyond names, where they come from, and their loading."""
+    allowed = (ast.Import, ast.ImportFrom, ast.Assign)
+    hooks = {"__getattr__", "__dir__"}
+    found = []
+    for number, node in enumerate(tree.body):
+        is_docstring = number == 0 and bool(ast.get_docstring(tree))
+        is_hook = isinstance(node, ast.FunctionDef) and node.name in hooks
+        is_for_types = (
+            isinstance(node, ast.If)
+            and ast.unparse(node.test) == "TYPE_CHECKING"
+            and all(isinstance(inner, ast.ImportFrom) for inner in node.body)
+            and not node.orelse
+        )
+        if not (is_docstring or is_hook or is_for_types or isinstance(node, allowed)):
+            found.append(f"line {node.lineno}: {ast.unparse(node)[:60]}")
+    return found
+
+
+def test_the_public_package_re_exports_and_nothing_else() -> None:
+    assert [name_of(path) for path in PUBLIC] == ["lfnav/__init__.py"]
+    tree = ast.parse(PUBLIC[0].read_text())
+    assert more_than_names(tree) == []
+    loaded = [
+        name
+        for node in statements_at_import(tree.body)
+        for name in imported_modules(node, ("lfnav",), True)
+    ]
+    assert {name.split(".")[0] for name in loaded} <= sys.stdlib_module_names
+
+
+@pytest.mark.parametrize(
+    "source", ["def helper():\n    pass", "class A:\n    pass", "print()", "for a in b:\n    pass"]
+)
+def test_the_check_of_the_public_package_sees_more(source: str) -> None:
+    assert more_than_names(ast.parse(source))
+
+
+@pytest.mark.parametrize("path", PIPELINES + FRONT_DOOR + PUBLIC + NATIVE, ids=name_of)
 def test_modules_are_of_a_readable_size(path: Path) -> None:
     assert len(path.read_text().splitlines()) <= MAX_MODULE_LINES
 

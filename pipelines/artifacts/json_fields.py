@@ -5,7 +5,7 @@ import math
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pipelines.artifacts.errors import InputError
+from pipelines.artifacts.errors import InputError, quoted, reason_of
 from pipelines.artifacts.file_content import read_file
 
 Value = TypeVar("Value")
@@ -42,7 +42,7 @@ class JsonFields:
         """The text of a key, which has to be one of ``known``."""
         value = self.get(key, str)
         if value not in known:
-            reason = f"{self.prefix}{key} {value[:40]!r} is unknown"
+            reason = f"{self.prefix}{key} {quoted(value)} is unknown"
             raise InputError(self.path, reason, f"known are {', '.join(known)}")
         return value
 
@@ -61,5 +61,5 @@ def read_json_object(path: Path, limit: int) -> JsonFields:
     try:
         value = json.loads(data.decode("utf-8"), parse_constant=refuse_constant)
     except (ValueError, RecursionError) as error:
-        raise InputError(path, f"is not valid JSON ({error})") from error
+        raise InputError(path, f"is not valid JSON ({reason_of(error)})") from error
     return JsonFields(path, value)

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Literal
 
-from pipelines.artifacts.errors import InputError
+from pipelines.artifacts.errors import InputError, quoted, reason_of
 from pipelines.artifacts.safe_hdf5 import is_hdf5, open_hdf5
 
 SCENE_FORMAT, RUN_FORMAT = "lfnav scene", "lfnav run"
@@ -27,7 +27,7 @@ def kind_of(path: Path) -> Kind:
     except FileNotFoundError as error:
         raise InputError(path, "does not exist") from error
     except (OSError, ValueError) as error:
-        raise InputError(path, f"cannot be read ({error})") from error
+        raise InputError(path, f"cannot be read ({reason_of(error)})") from error
     if path.is_dir():
         return "reconstruction" if (path / RECONSTRUCTION_FILE).is_file() else "dataset"
     if not is_hdf5(path):
@@ -38,4 +38,4 @@ def kind_of(path: Path) -> Kind:
         return "scene"
     if found == RUN_FORMAT:
         return "run"
-    raise InputError(path, f"is an HDF5 file of format {found!r}, which lfnav does not know")
+    raise InputError(path, f"is an HDF5 file of format {quoted(found)}, which lfnav does not know")

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import IO, Any, TypeVar
 
 import pipelines
-from pipelines.artifacts.errors import StageError
+from pipelines.artifacts.errors import StageError, quoted
 
 QUOTED_CHARACTERS = 300
 Item = TypeVar("Item")
@@ -135,7 +135,7 @@ class WorkerProcess:
         except ValueError:
             event = None
         if not isinstance(event, dict):
-            raise StageError(f"the worker for {self._work} said {line[:QUOTED_CHARACTERS]!r}")
+            raise StageError(f"the worker for {self._work} said {quoted(line)}")
         return event
 
     def _epitaph(self) -> str:

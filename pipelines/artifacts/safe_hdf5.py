@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pipelines.artifacts.atomic import atomic_file
-from pipelines.artifacts.errors import InputError
+from pipelines.artifacts.errors import InputError, quoted, reason_of
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 MAX_ARRAY_BYTES = 1024**3
@@ -172,7 +172,7 @@ class SafeFile:
         """The group or dataset of this name, reached over hard links alone."""
         components = [component for component in name.split("/") if component]
         if len(components) > _MAX_PATH_COMPONENTS or {".", ".."} & set(components):
-            raise InputError(self.path, f"{name!r} is not the name of an array")
+            raise InputError(self.path, f"{quoted(name)} is not the name of an array")
         found: Any = self._file
         for component in components:
             try:
@@ -266,7 +266,7 @@ class SafeFile:
                     raise self._damaged(name, "a chunk has the wrong size")
 
     def _damaged(self, name: str, error: Exception | str) -> InputError:
-        return InputError(self.path, f"is damaged at {name} ({error})")
+        return InputError(self.path, f"is damaged at {name} ({reason_of(error)})")
 
 
 class _MissingError(InputError):
@@ -290,7 +290,7 @@ def open_hdf5(path: Path, total_bytes: int = MAX_TOTAL_BYTES) -> Iterator[SafeFi
         # No lock: files are replaced whole, never changed, and may lie on a read-only medium.
         file = h5py.File(path, "r", locking=False)
     except _FORMAT_ERRORS as error:
-        raise InputError(path, f"is damaged or truncated ({error})") from error
+        raise InputError(path, f"is damaged or truncated ({reason_of(error)})") from error
     try:
         yield SafeFile(path, file, total_bytes)
     finally:
@@ -324,7 +324,7 @@ def check_schema(file: SafeFile, expected_format: str, newest_version: int) -> i
     """
     found = file.attribute("format", str)
     if found != expected_format:
-        raise InputError(file.path, f"is a file of format {found!r}, not {expected_format!r}")
+        raise InputError(file.path, f"is a file of format {quoted(found)}, not {expected_format!r}")
     version = file.attribute("schema_version", int)
     if version > newest_version:
         raise InputError(

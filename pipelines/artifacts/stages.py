@@ -17,7 +17,16 @@ class Progress(Protocol):
 
 
 def no_progress(items: Iterable[T], description: str, total: int | None = None) -> Iterator[T]:
-    """The ``Progress`` that shows nothing."""
+    """The ``Progress`` that shows nothing.
+
+    Args:
+        items: what is gone through.
+        description: what a bar would say; not used.
+        total: number of the items where ``len`` does not tell; not used.
+
+    Yields:
+        The items, unchanged.
+    """
     yield from items
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pipelines.artifacts.errors import InputError
+from pipelines.artifacts.errors import InputError, reason_of
 from pipelines.artifacts.file_content import read_text_file
 
 MAX_TOML_BYTES = 1024**2
@@ -32,7 +32,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise InputError(path, f"is not TOML ({error})") from error
+        raise InputError(path, f"is not TOML ({reason_of(error)})") from error
 
 
 def type_name(value: object) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pipelines.artifacts.arrays import FloatArray
-from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.artifacts.errors import InputError, OptionError, quoted
 from pipelines.artifacts.toml_file import read_toml
 from pipelines.geometry.camera import CAMERA_MODELS, Camera
 from pipelines.geometry.pose import base_from_camera_mount, mount_of
@@ -115,11 +115,11 @@ def _check_keys(
 def _number(path: Path, table: Mapping[str, Any], key: str, prefix: str = "") -> float:
     value = table[key]
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(path, f"{prefix}{key}: {value!r} is not a number")
+        raise InputError(path, f"{prefix}{key}: {quoted(value)} is not a number")
     try:
         number = float(value)
     except OverflowError:
         number = math.inf
     if not math.isfinite(number):
-        raise InputError(path, f"{prefix}{key}: {value!r} is not finite")
+        raise InputError(path, f"{prefix}{key}: {value} is not finite")
     return number

@@ -16,8 +16,9 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
+from pipelines.artifacts.arguments import PathLike, checked_index, checked_path
 from pipelines.artifacts.arrays import FloatArray, ImageArray
-from pipelines.artifacts.errors import InputError
+from pipelines.artifacts.errors import InputError, quoted, reason_of
 from pipelines.artifacts.file_content import is_file, read_text_file
 from pipelines.dataset.camera_file import CameraFile, read_camera_file
 from pipelines.dataset.images import (
@@ -49,11 +50,14 @@ class Dataset:
         image_names: ``N`` paths relative to ``root``, in time order; they never leave ``root``.
         timestamps: ``(N,)`` seconds, strictly increasing.
         camera: the camera that took all images; None where no ``camera.toml`` tells.
-        base_from_camera: ``(4, 4)``, the mount; None where the body is the camera.
-        odometry: world_from_body, integrated and drifting; None where there is none.
-        groundtruth: world_from_body; for evaluation, never for estimation.
-        depth_names: for each image its depth image relative to ``root``, or None.
-        depth_scale: value in a depth image / depth_scale = metres.
+        base_from_camera: ``(4, 4)``, the camera's mount, metres; None where the body is the camera.
+        odometry: world_from_body in a frame of its own, integrated and drifting; None where there
+            is none.
+        groundtruth: world_from_body in the world of the map; for evaluation, never for estimation;
+            None where there is none.
+        depth_names: for each image its depth image relative to ``root``, or None; None where the
+            data set has no depth images at all.
+        depth_scale: value in a depth image / depth_scale = metres; None where nothing says.
         mask: of what the camera always sees; None where there is none.
     """
 
@@ -77,22 +81,41 @@ class Dataset:
         return np.eye(4) if self.base_from_camera is None else self.base_from_camera
 
     def image_path(self, index: int) -> Path:
-        """The file of an image."""
+        """The file of an image.
+
+        Args:
+            index: of the image, from 0.
+
+        Raises:
+            OptionError: no such image.
+        """
+        index = checked_index(index, "images", len(self))
         return self.root / self.image_names[index]
 
     def read_image_bytes(self, index: int) -> bytes:
         """The content of an image's file, as recorded.
 
+        Args:
+            index: of the image, from 0.
+
         Raises:
-            InputError: not a file, unreadable, empty, or too large.
+            InputError: it is missing, too large or unreadable.
+            OptionError: no such image.
         """
         return read_image_bytes(self.image_path(index))
 
     def read_image(self, index: int) -> ImageArray:
-        """The image, ``(H, W, 3)`` RGB.
+        """An image, decoded.
+
+        Args:
+            index: of the image, from 0.
+
+        Returns:
+            ``(height, width, 3)`` RGB, 8 bits, as recorded (not undistorted).
 
         Raises:
             InputError: unreadable, damaged, or of another size than the camera's.
+            OptionError: no such image.
         """
         path = self.image_path(index)
         image = decode_image(read_image_bytes(path), path)
@@ -103,13 +126,15 @@ class Dataset:
 
 
 def load_dataset(
-    root: Path,
+    root: PathLike,
     *,
-    odometry: Path | None = None,
-    groundtruth: Path | None = None,
-    mask: Path | None = None,
+    odometry: PathLike | None = None,
+    groundtruth: PathLike | None = None,
+    mask: PathLike | None = None,
 ) -> Dataset:
-    """Reads and checks a data set; of the images the headers only.
+    """Reads and checks a data set in the layout of the TUM RGB-D benchmark (Sturm et al. 2012).
+
+    Of the images the headers only are read.
 
     Args:
         root: a folder with ``rgb.txt``, or with images in it or in one of its sub-folders.
@@ -119,7 +144,13 @@ def load_dataset(
 
     Raises:
         InputError: something is missing, damaged or contradictory; names the file and the reason.
+        OptionError: a path is none.
     """
+    root = checked_path(root, "the data set's path")
+    odometry, groundtruth, mask = (
+        None if path is None else checked_path(path, f"the {name}'s path")
+        for name, path in (("odometry", odometry), ("ground truth", groundtruth), ("mask", mask))
+    )
     _check_folder(root)
     if (root / IMAGE_LIST).is_file():
         timestamps, names = _read_list(root, IMAGE_LIST)
@@ -187,7 +218,7 @@ def _check_folder(root: Path) -> None:
     except FileNotFoundError as error:
         raise InputError(root, "does not exist") from error
     except (OSError, ValueError) as error:
-        raise InputError(root, f"cannot be read ({error})") from error
+        raise InputError(root, f"cannot be read ({reason_of(error)})") from error
     if is_folder:
         if not os.access(root, os.R_OK | os.X_OK):
             raise InputError(root, "cannot be read (no permission)")
@@ -222,9 +253,9 @@ def _read_list(root: Path, list_name: str) -> tuple[FloatArray, tuple[str, ...]]
                 "sort the images by time and keep one for each",
             )
         if name in entries:
-            raise InputError(path, f"line {number}: {name} is named a second time")
+            raise InputError(path, f"line {number}: {quoted(name)} is named a second time")
         if not is_file(root / name):
-            raise InputError(path, f"line {number}: {name} is not there")
+            raise InputError(path, f"line {number}: {quoted(name)} is not there")
         entries[name] = last = time
     if not entries:
         raise InputError(path, "names no image")
@@ -239,14 +270,14 @@ def _parse_entry(content: str) -> tuple[float, str]:
     try:
         time = float(parts[0])
     except ValueError:
-        raise ValueError(f"{parts[0]!r} is not a timestamp") from None
+        raise ValueError(f"{quoted(parts[0])} is not a timestamp") from None
     if not math.isfinite(time):
-        raise ValueError(f"the timestamp {parts[0]} is not finite")
+        raise ValueError(f"the timestamp {time} is not finite")
     name = PurePosixPath(parts[1])
     if not parts[1].isprintable():
-        raise ValueError(f"{parts[1]!r} is not a file name")
+        raise ValueError(f"{quoted(parts[1])} is not a file name")
     if name.is_absolute() or ".." in name.parts:
-        raise ValueError(f"{parts[1]} leads out of the data set's folder")
+        raise ValueError(f"{quoted(parts[1])} leads out of the data set's folder")
     return time, str(name)
 
 

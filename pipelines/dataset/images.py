@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from pipelines.artifacts.arrays import ImageArray
-from pipelines.artifacts.errors import InputError
+from pipelines.artifacts.errors import InputError, reason_of
 
 MAX_PIXELS = 100_000_000
 MAX_IMAGE_BYTES = 256 * 1024**2
@@ -211,7 +211,7 @@ def _opened(file: IO[bytes], name: Path | str) -> Any:
     except Image.DecompressionBombError as error:
         raise InputError(name, f"has more than {MAX_PIXELS} pixels") from error
     except _DECODING_ERRORS as error:
-        raise InputError(name, f"is a damaged image ({error})") from error
+        raise InputError(name, f"is a damaged image ({reason_of(error)})") from error
     width, height = image.size
     if width < 1 or height < 1 or width * height > MAX_PIXELS:
         raise InputError(
@@ -233,5 +233,5 @@ def _decoded(data: bytes, name: Path | str) -> Image.Image:
             image = _opened(io.BytesIO(data), name)
         image.load()
     except _DECODING_ERRORS as error:
-        raise InputError(name, f"is a damaged or truncated image ({error})") from error
+        raise InputError(name, f"is a damaged or truncated image ({reason_of(error)})") from error
     return image

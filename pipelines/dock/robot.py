@@ -13,8 +13,9 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray, ImageArray
-from pipelines.artifacts.errors import LfnavError
+from pipelines.artifacts.errors import LfnavError, OptionError
 from pipelines.geometry.camera import Camera
+from pipelines.geometry.pose import checked_poses
 
 METHODS = ("take_image", "move", "stop")
 ATTRIBUTES = ("camera", "base_from_camera")
@@ -124,11 +125,11 @@ class CheckedRobot:
         self.seconds = 0.0
         self.camera = robot.camera
         if not isinstance(self.camera, Camera):
-            raise RobotError(f"robot {self.name}: camera is no pipelines.geometry.camera.Camera")
-        mount = _floats(robot.base_from_camera)
-        if mount is None or mount.shape != (4, 4) or not np.all(np.isfinite(mount)):
-            raise RobotError(f"robot {self.name}: base_from_camera is no (4, 4) matrix")
-        self.base_from_camera: FloatArray = mount
+            raise RobotError(f"robot {self.name}: camera is no lfnav.Camera")
+        try:
+            self.base_from_camera = checked_poses(robot.base_from_camera, "base_from_camera")
+        except OptionError as error:
+            raise RobotError(f"robot {self.name}: {error}") from error
 
     @property
     def is_simulated(self) -> bool:

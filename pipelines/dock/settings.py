@@ -4,7 +4,8 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from pipelines.artifacts.errors import OptionError
+from pipelines.artifacts.arguments import check_fields
+from pipelines.artifacts.errors import OptionError, quoted
 
 DRIVES = ("omni", "diff")
 # A robot of a known radius keeps this much between its hull and the surface; any other keeps its
@@ -57,8 +58,9 @@ class DockSettings:
     heading_bound: float = math.radians(4.0)
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if self.drive not in DRIVES:
-            raise OptionError(f"drive {self.drive!r} is none of {', '.join(DRIVES)}")
+            raise OptionError(f"drive {quoted(self.drive)} is none of {', '.join(DRIVES)}")
         if self.start is not None and not all(map(math.isfinite, self.start)):
             raise OptionError(f"start {self.start} is not finite")
         _within("largest step", self.largest_step, 0.01, 10.0)

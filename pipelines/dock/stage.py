@@ -7,46 +7,25 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.artifacts.arrays import BoolArray, FloatArray
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.atomic import check_output
 from pipelines.artifacts.errors import OptionError
 from pipelines.artifacts.provenance import provenance
 from pipelines.dataset.mask import Mask, read_mask
-from pipelines.dock.dock import Listener, dock, equipment_of
-from pipelines.dock.docking_log import Docking, Origin, run_of
-from pipelines.dock.goals import goal_of_image, goal_of_view
+from pipelines.dock.dock import Listener, equipment_of
+from pipelines.dock.docking_log import Docking, Origin
+from pipelines.dock.goals import Goal, goal_state
 from pipelines.dock.planar_motion import distance_between, yaw_between
+from pipelines.dock.program import docked
 from pipelines.dock.robot import STANDSTILL, CheckedRobot
 from pipelines.dock.robots.choice import RobotOptions, robot_named
 from pipelines.dock.settings import DockSettings
 from pipelines.dock.states import OutcomeKind
-from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_scene
-from pipelines.localize.run import relative_scene_path, save_run
+from pipelines.localize.run import save_run
+from pipelines.localize.scene_of_run import relative_scene_path
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.render.devices import resolved_device
-
-
-@dataclass(frozen=True)
-class Goal:
-    """Where to dock: exactly one of the three.
-
-    Attributes:
-        pose: x, y in metres and heading in radians.
-        view: number of a view of the scene.
-        image: an image taken with the robot's camera.
-
-    Raises:
-        OptionError: none or several.
-    """
-
-    pose: tuple[float, float, float] | None = None
-    view: int | None = None
-    image: Path | None = None
-
-    def __post_init__(self) -> None:
-        if [self.pose, self.view, self.image].count(None) != 2:
-            raise OptionError("give one goal: --goal, --goal-view or --goal-image")
 
 
 @dataclass(frozen=True)
@@ -187,10 +166,6 @@ def dock_robot(
     robot = robot_named(robot_name, scene, robot_options, seed)
     seen = _mask_of(robot, mask)
     used = None if seen is None else seen.used
-    place = _goal_state(goal, scene, robot, used, filter_settings, seed)
-    rng = np.random.default_rng(seed)
-    equipment = equipment_of(scene, robot, place, settings, filter_settings, rng, used)
-    docking = dock(equipment, listener)
     inputs = {"scene": scene.identifier}
     if seen is not None:
         inputs["mask"] = seen.sha256
@@ -198,13 +173,14 @@ def dock_robot(
     origin = Origin(
         scene.identifier, relative_scene_path(scene_path, output), robot_name, seed, record
     )
-    run = run_of(docking, robot, filter_settings, equipment.settings, origin)
-    if run is not None:
-        save_run(output, run, overwrite)
+    result = docked(scene, robot, goal, settings, filter_settings, origin, listener, used)
+    docking = result.docking
+    if result.run is not None:
+        save_run(output, result.run, overwrite)
     elif docking.outcome.kind is OutcomeKind.ROBOT_FAILED:
         # Not a single image: there is nothing that a run could hold.
         raise OptionError(f"{docking.outcome.reason}; no run was written")
-    return DockSummary(output, docking, robot.note, equipment.notes)
+    return DockSummary(output, docking, robot.note, result.notes)
 
 
 def dry_run(
@@ -234,7 +210,7 @@ def dry_run(
     notes: tuple[str, ...] = ()
     if goal is not None:
         used = None if seen is None else seen.used
-        place = _goal_state(goal, scene, robot, used, filter_settings, seed)
+        place = goal_state(goal, scene, robot, filter_settings, seed, used)
         rng = np.random.default_rng(seed)
         notes = equipment_of(scene, robot, place, settings, filter_settings, rng, used).notes
     try:
@@ -268,26 +244,6 @@ def _check_seed(seed: int) -> None:
 def _mask_of(robot: CheckedRobot, path: Path | None) -> Mask | None:
     size = (robot.camera.width, robot.camera.height)
     return None if path is None else read_mask(path, size, "the robot's camera is")
-
-
-def _goal_state(
-    goal: Goal,
-    scene: Scene,
-    robot: CheckedRobot,
-    mask: BoolArray | None,
-    filter_settings: LocalizerSettings,
-    seed: int,
-) -> FloatArray:
-    if goal.pose is not None:
-        return np.array(goal.pose)
-    if goal.view is not None:
-        return goal_of_view(scene, goal.view, robot.base_from_camera)
-    if goal.image is None:
-        raise OptionError("there is no goal")
-    rng = np.random.default_rng([seed, 4])
-    return goal_of_image(
-        scene, goal.image, robot.camera, robot.base_from_camera, filter_settings, rng, mask
-    )
 
 
 def _pose_text(state: FloatArray) -> str:

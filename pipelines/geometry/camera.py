@@ -12,8 +12,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-from pipelines.artifacts.arrays import Float32Array, FloatArray, ImageArray
-from pipelines.artifacts.errors import OptionError
+from pipelines.artifacts.arguments import checked_instance, checked_number
+from pipelines.artifacts.arrays import Float32Array, FloatArray, ImageArray, checked_array
+from pipelines.artifacts.errors import OptionError, quoted
+
+# Pixels: what is larger is no camera, and its square is no number.
+LARGEST_NUMBER = 1e12
 
 # COLMAP's model name -> names of its parameters, in order.
 CAMERA_MODELS: dict[str, tuple[str, ...]] = {
@@ -29,7 +33,19 @@ CAMERA_MODELS: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """A pinhole camera without distortion: focal lengths and principal point in pixels."""
+    """A pinhole camera without distortion.
+
+    Pixel centres lie at integer coordinates; the camera's axes are OpenCV's: x right, y down, z
+    forward.
+
+    Attributes:
+        width, height: of its images, pixels.
+        fx, fy: focal lengths, pixels.
+        cx, cy: the principal point, pixels.
+
+    Raises:
+        OptionError: sizes or focal lengths that are not positive, or numbers that are not finite.
+    """
 
     width: int
     height: int
@@ -37,6 +53,15 @@ class Intrinsics:
     fy: float
     cx: float
     cy: float
+
+    def __post_init__(self) -> None:
+        checked_number(self.width, "image width", 1, whole=True)
+        checked_number(self.height, "image height", 1, whole=True)
+        for name in ("fx", "fy", "cx", "cy"):
+            value = getattr(self, name)
+            checked_number(value, name, -LARGEST_NUMBER, LARGEST_NUMBER)
+            if name.startswith("f") and value <= 0.0:
+                raise OptionError(f"focal length {name} = {value:g} is not positive")
 
     def matrix(self) -> FloatArray:
         """The ``(3, 3)`` calibration matrix: camera coordinates to homogeneous pixels."""
@@ -52,9 +77,16 @@ class Intrinsics:
         return np.array([self.fx, self.fy, self.cx, self.cy])
 
     def resized(self, width: int, height: int) -> "Intrinsics":
-        """Intrinsics of the same image area-averaged to ``width`` x ``height`` pixels."""
-        if width < 1 or height < 1:
-            raise OptionError(f"an image cannot have {width}x{height} pixels")
+        """Intrinsics of the same image area-averaged to another size.
+
+        Args:
+            width, height: pixels.
+
+        Raises:
+            OptionError: not whole numbers of at least 1.
+        """
+        checked_number(width, "image width", 1, whole=True)
+        checked_number(height, "image height", 1, whole=True)
         scale_x, scale_y = width / self.width, height / self.height
         return Intrinsics(
             width,
@@ -68,12 +100,15 @@ class Intrinsics:
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera as COLMAP describes it.
+    """A camera as COLMAP describes it (Schonberger and Frahm 2016); its axes are OpenCV's.
 
     Attributes:
-        model: one of ``CAMERA_MODELS``.
-        width, height: pixels.
-        params: in COLMAP's order for the model; pixel centres at integers.
+        model: SIMPLE_PINHOLE (f, cx, cy), PINHOLE (fx, fy, cx, cy), SIMPLE_RADIAL (f, cx, cy, k),
+            RADIAL (f, cx, cy, k1, k2), OPENCV (fx, fy, cx, cy, k1, k2, p1, p2), FULL_OPENCV (these
+            and k3, k4, k5, k6), or OPENCV_FISHEYE (fx, fy, cx, cy, k1, k2, k3, k4).
+        width, height: of its images, pixels.
+        params: focal lengths, principal point and distortion, in the order above: pixels, with
+            pixel centres at integers, and numbers without a unit.
 
     Raises:
         OptionError: unknown model, wrong number of parameters, a size or focal length that is not
@@ -86,10 +121,14 @@ class Camera:
     params: tuple[float, ...]
 
     def __post_init__(self) -> None:
+        checked_instance(self.model, "camera model", str)
         if self.model not in CAMERA_MODELS:
             known = ", ".join(CAMERA_MODELS)
-            raise OptionError(f"unknown camera model {self.model!r}; known are {known}")
+            raise OptionError(f"unknown camera model {quoted(self.model)}; known are {known}")
         names = CAMERA_MODELS[self.model]
+        checked_number(self.width, "image width", whole=True)
+        checked_number(self.height, "image height", whole=True)
+        checked_array(self.params, "camera params", (None,), finite=False)
         if len(self.params) != len(names):
             raise OptionError(
                 f"camera model {self.model} takes {len(names)} params ({', '.join(names)}), "
@@ -142,7 +181,18 @@ class Camera:
         return self.model == "OPENCV_FISHEYE" or bool(np.any(self.distortion != 0.0))
 
     def rays(self, pixels: FloatArray) -> FloatArray:
-        """Directions ``(N, 3)`` with z = 1, camera coordinates, that pixels ``(N, 2)`` see."""
+        """The directions in which pixels look.
+
+        Args:
+            pixels: ``(N, 2)`` column and row, centres at integers, as recorded (not undistorted).
+
+        Returns:
+            ``(N, 3)`` camera coordinates, with z = 1.
+
+        Raises:
+            OptionError: no array of this shape.
+        """
+        pixels = checked_array(pixels, "pixels", (None, 2), finite=False)
         if len(pixels) == 0:
             return np.empty((0, 3))
         matrix, coefficients = self.intrinsics.matrix(), self.distortion

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pipelines.artifacts.arrays import FloatArray
+from pipelines.artifacts.arrays import FloatArray, checked_array
 from pipelines.artifacts.errors import OptionError
 from pipelines.geometry.camera import Intrinsics
 
@@ -18,17 +18,45 @@ class Plane:
         normal: ``(3,)`` unit normal in world coordinates; it points to the side from which the
             surface is seen.
         offset: metres; the signed distance of the world's origin from the plane.
+
+    Raises:
+        OptionError: a normal that is not three finite numbers, or an offset that is not finite.
     """
 
     normal: FloatArray
     offset: float
 
+    def __post_init__(self) -> None:
+        checked_array(self.normal, "the plane's normal", (3,))
+        checked_array(self.offset, "the plane's offset", ())
+
     def signed_distance(self, points: ArrayLike) -> FloatArray:
-        """Signed distance (metres, ``(...)``) of points ``(..., 3)``, positive on the seen side."""
-        return np.asarray(np.asarray(points, dtype=np.float64) @ self.normal + self.offset)
+        """How far points are from the plane.
+
+        Args:
+            points: ``(..., 3)`` world coordinates, metres.
+
+        Returns:
+            ``(...)`` metres, positive on the side from which the surface is seen.
+
+        Raises:
+            OptionError: no array of this shape.
+        """
+        places = checked_array(points, "points", (..., 3), finite=False)
+        with np.errstate(invalid="ignore"):
+            return np.asarray(places @ self.normal + self.offset)
 
     def facing(self, points: FloatArray) -> "Plane":
-        """The same plane with its normal towards the majority of ``points``, ``(N, 3)``."""
+        """The same plane with its normal towards the majority of points.
+
+        Args:
+            points: ``(N, 3)`` world coordinates, metres; at least one.
+
+        Raises:
+            OptionError: no such array.
+        """
+        if len(checked_array(points, "points", (None, 3))) == 0:
+            raise OptionError("a plane faces the majority of points, and there are none")
         if np.median(self.signed_distance(points)) < 0.0:
             return Plane(-self.normal, -self.offset)
         return self
@@ -41,12 +69,19 @@ class Plane:
 def plane_from_coefficients(coefficients: ArrayLike) -> Plane:
     """The plane ``a x + b y + c z + d = 0``, normalised.
 
+    Args:
+        coefficients: ``(4,)``: a, b, c without a unit and d in metres where (a, b, c) has length 1;
+            it points to the side from which the surface is seen.
+
     Raises:
         OptionError: not four finite numbers, or (a, b, c) is zero.
     """
-    values = np.asarray(coefficients, dtype=np.float64).reshape(-1)
-    if values.shape != (4,) or not np.all(np.isfinite(values)):
-        raise OptionError("a plane takes four finite numbers a,b,c,d with a x + b y + c z + d = 0")
+    try:
+        values = checked_array(coefficients, "a plane", (4,))
+    except OptionError as error:
+        raise OptionError(
+            f"a plane takes four finite numbers a,b,c,d with a x + b y + c z + d = 0 ({error})"
+        ) from error
     length = float(np.linalg.norm(values[:3]))
     if length == 0.0:
         raise OptionError("the plane's normal (a, b, c) is zero; give a direction")

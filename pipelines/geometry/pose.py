@@ -14,12 +14,55 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from pipelines.artifacts.arrays import FloatArray
+from pipelines.artifacts.arrays import BoolArray, FloatArray, Shape, checked_array
+from pipelines.artifacts.errors import OptionError
 
 # Columns: the axes of a forward-looking camera (right, down, forward) in base coordinates.
 BASE_FROM_FORWARD_CAMERA = np.array(
     [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]], dtype=np.float64
 )
+
+
+# What rotations read from text files may be off by.
+ROTATION_TOLERANCE = 1e-4
+
+
+def are_rigid(poses: FloatArray, tolerance: float = ROTATION_TOLERANCE) -> BoolArray:
+    """Which matrices are rotations (no reflections) with translations, and nothing else.
+
+    Args:
+        poses: ``(..., 4, 4)``.
+        tolerance: largest deviation of R R^T from the identity.
+
+    Returns:
+        ``(...)``; False where a number is not finite.
+    """
+    rotation = poses[..., :3, :3]
+    with np.errstate(invalid="ignore", over="ignore"):
+        error = np.abs(rotation @ np.swapaxes(rotation, -1, -2) - np.eye(3)).max(axis=(-1, -2))
+        last = np.abs(poses[..., 3, :] - [0.0, 0.0, 0.0, 1.0]).max(axis=-1)
+        is_rotation = (error <= tolerance) & (np.linalg.det(rotation) > 0.0)
+    is_placed = np.all(np.isfinite(poses[..., :3, 3]), axis=-1)
+    return np.asarray(is_rotation & is_placed & (last <= 1e-9), dtype=np.bool_)
+
+
+def checked_poses(value: ArrayLike | None, name: str, shape: Shape = (4, 4)) -> FloatArray:
+    """An argument as rigid transforms.
+
+    Args:
+        value: what the caller handed over.
+        name: what the message calls it.
+        shape: of the array; its last two lengths are 4.
+
+    Raises:
+        OptionError: another shape, no numbers, or a matrix that is no rigid transform.
+    """
+    poses = checked_array(value, name, shape)
+    if not np.all(are_rigid(poses)):
+        raise OptionError(
+            f"{name} is no rigid transform: a rotation matrix, a translation, 0 0 0 1"
+        )
+    return poses
 
 
 def wrap_angle(angle: ArrayLike) -> FloatArray:
@@ -84,23 +127,6 @@ def inverse(pose: FloatArray) -> FloatArray:
     return pose_from_rotation(rotation_transposed, translation)
 
 
-def are_rigid(poses: FloatArray, tolerance: float) -> bool:
-    """Whether all matrices ``(..., 4, 4)`` are finite, and rotations with translations.
-
-    Args:
-        poses: the matrices.
-        tolerance: largest deviation of R R^T from the identity.
-    """
-    if not np.all(np.isfinite(poses)):
-        return False
-    rotation = poses[..., :3, :3]
-    return bool(
-        np.allclose(rotation @ np.swapaxes(rotation, -1, -2), np.eye(3), atol=tolerance)
-        and np.all(np.linalg.det(rotation) > 0.0)
-        and np.allclose(poses[..., 3, :], [0.0, 0.0, 0.0, 1.0], atol=1e-9)
-    )
-
-
 def rotation_angle(pose: FloatArray) -> FloatArray:
     """Angle (radians, in [0, pi]) by which transforms ``(..., 4, 4)`` rotate; shape ``(...)``."""
     rotation = scipy.spatial.transform.Rotation.from_matrix(pose[..., :3, :3].reshape(-1, 3, 3))
@@ -108,16 +134,21 @@ def rotation_angle(pose: FloatArray) -> FloatArray:
 
 
 def world_from_base_planar(states: ArrayLike) -> FloatArray:
-    """Robot poses on the ground plane z = 0.
+    """Robot poses on the ground plane z = 0 (axes: REP-103).
 
     Args:
-        states: ``(..., 3)``: x and y in metres, heading in radians.
+        states: ``(..., 3)``: x and y in metres, heading in radians, in the world.
 
     Returns:
         ``world_from_base``, ``(..., 4, 4)``.
+
+    Raises:
+        OptionError: no array of this shape.
     """
-    state = np.asarray(states, dtype=np.float64)
-    cosine, sine = np.cos(state[..., 2]), np.sin(state[..., 2])
+    # Finite or not: a state that nobody knows becomes a pose that nobody knows.
+    state = checked_array(states, "states", (..., 3), finite=False)
+    with np.errstate(invalid="ignore"):
+        cosine, sine = np.cos(state[..., 2]), np.sin(state[..., 2])
     pose = np.zeros((*state.shape[:-1], 4, 4))
     pose[..., 0, 0] = cosine
     pose[..., 0, 1] = -sine
@@ -131,10 +162,19 @@ def world_from_base_planar(states: ArrayLike) -> FloatArray:
 
 
 def planar_state_of(world_from_base: FloatArray) -> FloatArray:
-    """Planar states ``(..., 3)`` (x, y in metres, heading in radians) of poses ``(..., 4, 4)``.
+    """Where on the ground plane robots stand (axes: REP-103).
 
-    The heading is the direction of the base's x axis seen from above.
+    Args:
+        world_from_base: ``(..., 4, 4)``.
+
+    Returns:
+        ``(..., 3)``: x and y in metres, heading in radians, in (-pi, pi]: the direction of the
+        base's x axis seen from above.
+
+    Raises:
+        OptionError: no array of this shape.
     """
+    world_from_base = checked_array(world_from_base, "world_from_base", (..., 4, 4), finite=False)
     state = np.empty((*world_from_base.shape[:-2], 3))
     state[..., :2] = world_from_base[..., :2, 3]
     heading = np.arctan2(world_from_base[..., 1, 0], world_from_base[..., 0, 0])
@@ -157,10 +197,15 @@ def base_from_camera_mount(position: ArrayLike, roll_pitch_yaw_deg: ArrayLike) -
             this order, of a camera that looks along the base's x axis. Positive pitch looks down.
 
     Returns:
-        ``base_from_camera``, ``(4, 4)``.
+        ``base_from_camera``, ``(4, 4)``; the base's axes are those of REP-103 (x forward, y left, z
+        up), the camera's those of OpenCV (x right, y down, z forward).
+
+    Raises:
+        OptionError: not three finite numbers each.
     """
-    angles = np.radians(np.asarray(roll_pitch_yaw_deg, dtype=np.float64)).tolist()
-    return pose_from_rotation(_turned_about_axes(*angles) @ BASE_FROM_FORWARD_CAMERA, position)
+    angles = np.radians(checked_array(roll_pitch_yaw_deg, "roll, pitch, yaw", (3,))).tolist()
+    place = checked_array(position, "the camera's position", (3,))
+    return pose_from_rotation(_turned_about_axes(*angles) @ BASE_FROM_FORWARD_CAMERA, place)
 
 
 def _turned_about_axes(roll: float, pitch: float, yaw: float) -> FloatArray:

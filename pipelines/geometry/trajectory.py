@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pipelines.artifacts.arrays import FloatArray, IntArray
-from pipelines.artifacts.errors import InputError
+from pipelines.artifacts.arguments import PathLike, checked_number, checked_path
+from pipelines.artifacts.arrays import FloatArray, IntArray, checked_array
+from pipelines.artifacts.errors import InputError, reason_of
 from pipelines.artifacts.file_content import read_text_file
 from pipelines.geometry.pose import inverse, pose_from_quaternion, quaternion_of
 
@@ -25,21 +26,37 @@ class Trajectory:
 
     Attributes:
         timestamps: ``(N,)`` seconds, strictly increasing.
-        poses: ``(N, 4, 4)`` world_from_body.
+        poses: ``(N, 4, 4)`` world_from_body, metres.
+
+    Raises:
+        OptionError: other shapes, or numbers that are not finite.
     """
 
     timestamps: FloatArray
     poses: FloatArray
 
+    def __post_init__(self) -> None:
+        times = checked_array(self.timestamps, "timestamps", (None,))
+        checked_array(self.poses, "poses", (len(times), 4, 4))
+
     def __len__(self) -> int:
         return len(self.timestamps)
 
     def nearest(self, timestamps: FloatArray, tolerance: float) -> IntArray:
-        """Index of the pose nearest in time to each of ``timestamps`` ``(M,)``.
+        """The poses nearest in time to others' times.
+
+        Args:
+            timestamps: ``(M,)`` seconds.
+            tolerance: seconds between a time and its pose at most.
 
         Returns:
-            ``(M,)`` indices; -1 where no pose lies within ``tolerance`` seconds.
+            ``(M,)`` indices; -1 where no pose lies within the tolerance.
+
+        Raises:
+            OptionError: no array of this shape, or a tolerance that is negative.
         """
+        timestamps = checked_array(timestamps, "timestamps", (None,))
+        checked_number(tolerance, "tolerance", 0.0)
         if len(self) == 0:
             return np.full(len(timestamps), -1, dtype=np.int64)
         right = np.clip(np.searchsorted(self.timestamps, timestamps), 1, max(1, len(self) - 1))
@@ -57,13 +74,19 @@ class Trajectory:
         return np.asarray(inverse(self.poses[:-1]) @ self.poses[1:], dtype=np.float64)
 
 
-def read_tum(path: Path) -> Trajectory:
-    """Reads a trajectory in the TUM format.
+def read_tum(path: PathLike) -> Trajectory:
+    """Reads a trajectory in the TUM format (Sturm et al. 2012).
+
+    Args:
+        path: a text file; a line ``timestamp tx ty tz qx qy qz qw`` a pose: seconds, metres, a unit
+            quaternion.
 
     Raises:
+        OptionError: ``path`` is no path.
         InputError: unreadable, not eight numbers a line, values that are not finite, quaternions
             that are not of unit length, or time that does not increase; the line is named.
     """
+    path = checked_path(path, "the trajectory's path")
     lines = read_text_file(path, MAX_TRAJECTORY_BYTES).splitlines()
     rows: list[list[float]] = []
     for number, line in enumerate(lines, start=1):
@@ -94,7 +117,7 @@ def _parse_row(path: Path, number: int, content: list[str]) -> list[float]:
     try:
         values = [float(value) for value in content]
     except ValueError as error:
-        raise InputError(path, f"line {number}: not a number ({error})") from error
+        raise InputError(path, f"line {number}: not a number ({reason_of(error)})") from error
     if not np.all(np.isfinite(values)):
         raise InputError(path, f"line {number}: a value is not finite (nan or inf)")
     length = float(np.linalg.norm(values[4:8]))

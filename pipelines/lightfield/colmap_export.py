@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from pipelines.artifacts.atomic import atomic_folder, check_output
-from pipelines.artifacts.errors import InputError
+from pipelines.artifacts.errors import InputError, quoted
 from pipelines.geometry.pose import inverse
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_scene
@@ -94,14 +94,14 @@ def _file_names(path: Path, scene: Scene) -> tuple[str, ...]:
         relative = PurePosixPath(name)
         is_safe = bool(relative.parts) and not relative.is_absolute() and name.isprintable()
         if not is_safe or ".." in relative.parts:
-            raise InputError(path, f"a view is called {name[:60]!r}, which is no file name")
+            raise InputError(path, f"a view is called {quoted(name)}, which is no file name")
         names.append(str(relative))
     if len(set(names)) != len(names):
         raise InputError(path, "two views have the same name")
     folders = {str(parent) for name in names for parent in PurePosixPath(name).parents}
     clash = sorted(folders & set(names))
     if clash:
-        raise InputError(path, f"a view is called {clash[0][:60]}, which is also a folder")
+        raise InputError(path, f"a view is called {quoted(clash[0])}, which is also a folder")
     return tuple(names)
 
 

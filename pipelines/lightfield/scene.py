@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipelines.artifacts.arguments import checked_index
 from pipelines.artifacts.arrays import (
     BoolArray,
     Float32Array,
@@ -56,7 +57,10 @@ class SceneDepth:
 
 @dataclass(frozen=True)
 class Scene:
-    """A light field of N views.
+    """A light field of N views (Heigl, Denzler, Niemann 2001, section 2).
+
+    World and robot base follow REP-103 (x forward, y left, z up), cameras OpenCV (x right, y down,
+    z forward). ``load_scene`` reads one and checks it.
 
     Attributes:
         image_names: N names, for people.
@@ -64,7 +68,7 @@ class Scene:
         timestamps: ``(N,)`` seconds.
         cameras: the cameras that took them.
         camera_index: ``(N,)`` index into ``cameras``.
-        world_from_camera: ``(N, 4, 4)``.
+        world_from_camera: ``(N, 4, 4)`` where the views were taken from, metres.
         surface: the plane that approximates the scene's surface.
         base_from_camera: ``(4, 4)`` mount of the recording robot; None where the map was not made
             by a robot.
@@ -97,17 +101,31 @@ class Scene:
         return self.surface.plane
 
     def camera_of(self, index: int) -> Camera:
-        """The camera that took view ``index``."""
-        return self.cameras[int(self.camera_index[index])]
+        """The camera that took a view.
 
-    def image(self, index: int) -> ImageArray:
-        """Decodes view ``index``: ``(height, width, 3)`` RGB, as recorded (not undistorted).
+        Args:
+            index: of the view, from 0.
 
         Raises:
+            OptionError: no such view.
+        """
+        return self.cameras[int(self.camera_index[checked_index(index, "views", len(self))])]
+
+    def image(self, index: int) -> ImageArray:
+        """Decodes the photo of a view.
+
+        Args:
+            index: of the view, from 0.
+
+        Returns:
+            ``(height, width, 3)`` RGB, 8 bits, as recorded (not undistorted).
+
+        Raises:
+            OptionError: no such view.
             InputError: the stored photo cannot be decoded or has another size than its camera.
         """
-        image = decode_image(self.encoded_images[index], self.image_names[index])
         camera = self.camera_of(index)
+        image = decode_image(self.encoded_images[index], self.image_names[index])
         if image.shape[:2] != (camera.height, camera.width):
             raise InputError(
                 self.image_names[index],

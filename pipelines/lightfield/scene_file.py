@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipelines.artifacts.arguments import PathLike, checked_instance, checked_path
 from pipelines.artifacts.arrays import BoolArray, Float32Array, FloatArray, IntArray
-from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.artifacts.errors import InputError, OptionError, reason_of
 from pipelines.artifacts.safe_hdf5 import (
     SafeFile,
     check_schema,
@@ -41,7 +42,10 @@ _MALFORMED = (KeyError, TypeError, ValueError, AttributeError, OverflowError, Op
 
 
 def save_scene(
-    path: Path, scene: Scene, overwrite: bool, provenance: Mapping[str, Any] | None = None
+    path: PathLike,
+    scene: Scene,
+    overwrite: bool = False,
+    provenance: Mapping[str, Any] | None = None,
 ) -> None:
     """Writes a scene model, whole or not at all.
 
@@ -53,7 +57,10 @@ def save_scene(
 
     Raises:
         InputError: the file exists (without ``overwrite``) or cannot be written.
+        OptionError: ``path`` is no path, or ``scene`` no scene.
     """
+    path = checked_path(path, "the scene's path")
+    checked_instance(scene, "the scene", Scene)
     with create_hdf5(path, overwrite) as file:
         write_schema(file, FORMAT, SCHEMA_VERSION)
         write_json(file, "scene", {**_description(scene), "provenance": dict(provenance or {})})
@@ -72,20 +79,27 @@ def save_scene(
             write_array(file, f"depth/{index:06d}/confident", depth.confident, compress=True)
 
 
-def load_scene(path: Path) -> Scene:
+def load_scene(path: PathLike) -> Scene:
     """Reads a scene model; photos stay encoded until they are used.
+
+    Args:
+        path: a ``scene.h5``, made by ``lfnav model`` or ``save_scene``.
 
     Raises:
         InputError: missing, not a scene, damaged, of a newer schema, or with contents that
             contradict each other.
+        OptionError: ``path`` is no path.
     """
+    path = checked_path(path, "the scene's path")
     with open_hdf5(path) as file:
         check_schema(file, FORMAT, SCHEMA_VERSION)
         description = file.read_json("scene")
         try:
             scene = _scene_of(file, description)
         except _MALFORMED as error:
-            raise InputError(path, f"has contents that are no scene ({error})") from error
+            raise InputError(
+                path, f"has contents that are no scene ({reason_of(error)})"
+            ) from error
     _check(path, scene)
     return scene
 
@@ -232,7 +246,7 @@ def _check(path: Path, scene: Scene) -> None:
     if scene.base_from_camera is not None:
         poses.append(scene.base_from_camera[None])
     for pose in poses:
-        if not are_rigid(pose, tolerance=1e-4):
+        if not np.all(are_rigid(pose)):
             raise InputError(path, "holds a pose that is no rigid transform")
     low_x, high_x, low_y, high_y = scene.bounds
     if not np.all(np.isfinite(scene.bounds)) or low_x >= high_x or low_y >= high_y:

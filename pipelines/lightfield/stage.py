@@ -6,11 +6,19 @@ from typing import Any
 
 import numpy as np
 
+from pipelines.artifacts.arguments import (
+    PathLike,
+    check_fields,
+    checked_choice,
+    checked_instance,
+    checked_number,
+    checked_path,
+)
 from pipelines.artifacts.arrays import ImageArray, IntArray
 from pipelines.artifacts.atomic import check_output
-from pipelines.artifacts.errors import InputError, OptionError, StageError
+from pipelines.artifacts.errors import InputError, StageError
 from pipelines.artifacts.provenance import provenance, sha256_of_bytes, sha256_of_file
-from pipelines.artifacts.stages import Progress
+from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.dataset.images import decode_image, read_image_bytes
 from pipelines.geometry.camera import Intrinsics, Undistorter
 from pipelines.geometry.plane import Plane, plane_from_coefficients
@@ -50,16 +58,20 @@ class ModelSettings:
     """Options of the stage.
 
     Attributes:
-        geometry: the kind of scene surface, one of ``GEOMETRIES``.
-        depth: where depth maps come from, one of ``DEPTH_SOURCES``.
-        plane: a, b, c, d of ``a x + b y + c z + d = 0`` in world coordinates; None: estimated.
-        images: folder of the photos where they are no longer where the reconstruction found them.
+        geometry: the kind of scene surface: ``plane``, or ``depth``: a depth map a photo.
+        depth: where depth maps come from: computed from the ``photos``, or ``given`` by the data
+            set.
+        plane: a, b, c, d of ``a x + b y + c z + d = 0`` in world coordinates, metres; None:
+            estimated.
+        images: folder of the photos where they are no longer where the reconstruction found them;
+            None: where it found them.
         seed: of the random samples in the estimation from points.
         max_views: how many photos the model may hold: those that together show best what all of
             them show; None: all.
 
     Raises:
-        OptionError: an unknown geometry, or a model without photos.
+        OptionError: an unknown geometry, a model without photos, a plane that is none, or a value
+            of another type.
     """
 
     geometry: str = "plane"
@@ -70,12 +82,14 @@ class ModelSettings:
     max_views: int | None = None
 
     def __post_init__(self) -> None:
-        if self.max_views is not None and self.max_views < 1:
-            raise OptionError(f"a model of {self.max_views} photos shows nothing; keep at least 1")
-        if self.geometry not in GEOMETRIES:
-            raise OptionError(f"geometry {self.geometry!r} is none of {', '.join(GEOMETRIES)}")
-        if self.depth not in DEPTH_SOURCES:
-            raise OptionError(f"depth {self.depth!r} is none of {', '.join(DEPTH_SOURCES)}")
+        check_fields(self)
+        if self.max_views is not None:
+            checked_number(self.max_views, "number of photos", 1, whole=True)
+        if self.plane is not None:
+            plane_from_coefficients(self.plane)
+        checked_number(self.seed, "seed", 0, whole=True)
+        checked_choice(self.geometry, "geometry", GEOMETRIES)
+        checked_choice(self.depth, "depth", DEPTH_SOURCES)
 
     @property
     def takes_depth(self) -> bool:
@@ -84,26 +98,38 @@ class ModelSettings:
 
 
 def model(
-    reconstruction: Path,
-    output: Path,
-    settings: ModelSettings,
+    reconstruction: PathLike,
+    output: PathLike,
+    settings: ModelSettings | None = None,
     *,
-    overwrite: bool,
-    progress: Progress,
+    overwrite: bool = False,
+    progress: Progress = no_progress,
 ) -> SceneSummary:
-    """Builds the scene model of a reconstruction and writes it.
+    """Builds the scene model of a reconstruction, a light field, and writes it.
+
+    The photos stay as they are, and what they show is approximated by a surface (Heigl, Denzler,
+    Niemann 2001, section 2): a plane, or a depth map a photo by a plane sweep (Collins 1996) with
+    semi-global matching (Hirschmueller 2008).
 
     Args:
         reconstruction: folder made by ``reconstruct``.
-        output: the file to be written.
-        settings: the options.
+        output: the file to be written, ``scene.h5``; ``load_scene`` reads it.
+        settings: the options; None: the defaults.
         overwrite: whether an existing file may be replaced.
         progress: told how far the work is.
+
+    Returns:
+        What a person or a program wants to know of it: ``table()``, ``to_dict()``.
 
     Raises:
         InputError: the reconstruction or its photos cannot be used, or the output not be written.
         StageError: no plane can be estimated.
+        OptionError: an argument of another type.
     """
+    reconstruction = checked_path(reconstruction, "the reconstruction's path")
+    output = checked_path(output, "the scene's path")
+    settings = ModelSettings() if settings is None else settings
+    checked_instance(settings, "settings", ModelSettings)
     check_output(output, overwrite)
     source = load_reconstruction(reconstruction)
     finished = output.with_name(output.name + FINISHED_SUFFIX)
@@ -119,22 +145,26 @@ def model(
 
 def build_scene(
     source: Reconstruction,
-    settings: ModelSettings,
-    progress: Progress,
+    settings: ModelSettings | None = None,
+    progress: Progress = no_progress,
     finished: Path | None = None,
 ) -> Scene:
-    """The light field of a reconstruction, in memory.
+    """The light field of a reconstruction, in memory (Heigl, Denzler, Niemann 2001, section 2).
 
     Args:
-        source: posed photos.
-        settings: the options.
+        source: posed photos; ``load_reconstruction`` reads them.
+        settings: the options; None: the defaults.
         progress: told how far the work is.
         finished: folder in which finished depth maps are kept until all are done; None: nowhere.
 
     Raises:
         InputError: a photo is missing, or is not the one that was reconstructed.
         StageError: no plane can be estimated.
+        OptionError: an argument of another type.
     """
+    settings = ModelSettings() if settings is None else settings
+    checked_instance(source, "the reconstruction", Reconstruction)
+    checked_instance(settings, "settings", ModelSettings)
     root = settings.images if settings.images is not None else source.image_root
     images = _read_photos(source, root)
     needs_photos = settings.geometry == "depth" and not settings.takes_depth

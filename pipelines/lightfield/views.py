@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
+from pipelines.artifacts.arguments import checked_number
 from pipelines.artifacts.arrays import Float32Array, FloatArray, ImageArray, IntArray
 from pipelines.artifacts.processes import in_threads
 from pipelines.artifacts.stages import Progress, no_progress
@@ -236,7 +237,13 @@ def views_of_scene(
         largest_side: photos are area-averaged until their longer side has at most so many pixels;
             None keeps them as recorded.
         progress: shown while decoding.
+
+    Raises:
+        OptionError: a side without pixels.
+        InputError: a photo cannot be decoded.
     """
+    if largest_side is not None:
+        checked_number(largest_side, "largest side of photos", 1, whole=True)
     undistorters = [Undistorter(camera) for camera in scene.cameras]
 
     def view(index: int) -> tuple[ImageArray, Intrinsics]:

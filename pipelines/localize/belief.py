@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pipelines.artifacts.arrays import BoolArray, FloatArray
+from pipelines.artifacts.arrays import BoolArray, FloatArray, checked_array
 from pipelines.artifacts.errors import OptionError, StageError
 from pipelines.localize.state_space import StateSpace, sigmas_of, state_space_of_dimension
 
@@ -40,15 +40,12 @@ class Belief:
     log_weights: FloatArray
 
     def __post_init__(self) -> None:
-        if self.states.ndim != 2 or len(self.states) == 0:
-            raise OptionError(f"particles have shape {self.states.shape} instead of (M, D), M > 0")
-        state_space_of_dimension(self.states.shape[1])
-        if self.log_weights.shape != (len(self.states),):
-            raise OptionError(
-                f"{len(self.states)} particles with log-weights of shape {self.log_weights.shape}"
-            )
-        if not np.all(np.isfinite(self.states)):
-            raise OptionError("a particle's state is not finite")
+        states = checked_array(self.states, "particles", (None, None))
+        if len(states) == 0:
+            raise OptionError(f"particles of shape {states.shape} instead of (M, D), M > 0")
+        state_space_of_dimension(states.shape[1])
+        # Of no weight a logarithm is -inf.
+        checked_array(self.log_weights, "log-weights", (len(states),), finite=False)
         total = float(np.sum(np.exp(self.log_weights)))
         # Written so that NaN fails the test too.
         if not abs(total - 1.0) <= NORMALISATION_TOLERANCE:

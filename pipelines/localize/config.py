@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.artifacts.errors import InputError, OptionError, quoted
 from pipelines.artifacts.toml_file import read_toml, type_name
 from pipelines.localize.config_keys import KEYS, SECTIONS
 from pipelines.localize.likelihood import LIKELIHOODS
@@ -52,7 +52,9 @@ def read_choices(path: Path, content: Mapping[str, Any]) -> Choices:
     """
     for section, table in content.items():
         if section not in SECTIONS:
-            raise InputError(path, f"unknown key {section!r}", f"known are {_named_sections()}")
+            raise InputError(
+                path, f"unknown key {quoted(section)}", f"known are {_named_sections()}"
+            )
         if not isinstance(table, dict):
             raise InputError(
                 path, f"{section} is {type_name(table)}, expected a table", f"write [{section}]"
@@ -61,7 +63,7 @@ def read_choices(path: Path, content: Mapping[str, Any]) -> Choices:
         for name in table:
             # A misspelt key would otherwise be ignored in silence.
             if name not in known:
-                reason = f"unknown key {name!r} in [{section}]"
+                reason = f"unknown key {quoted(name)} in [{section}]"
                 raise InputError(path, reason, f"known are {', '.join(known)}")
     chosen = {}
     for key in KEYS:

@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from pipelines.artifacts.arguments import checked_instance
 from pipelines.artifacts.arrays import BoolArray, FloatArray
-from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.artifacts.errors import InputError, OptionError, quoted
 from pipelines.dataset.dataset import PAIRING_TOLERANCE
 from pipelines.geometry.trajectory import Trajectory, read_tum
 from pipelines.localize.consistency import (
@@ -289,12 +290,15 @@ def evaluate_run(
         groundtruth: world_from_base, paired to the frames by time; None for the run's own.
         estimate: which estimate; None for the run's default.
         run_path: how errors name the run.
-        groundtruth_path: how errors name the ground truth.
+        groundtruth_path: how errors name the ground truth; None: so.
 
     Raises:
         InputError: no ground truth, none that pairs with a frame, or no estimate where there is.
-        OptionError: the run has no estimate of this name.
+        OptionError: the run has no estimate of this name, or an argument of another type.
     """
+    checked_instance(run, "the run", Run)
+    if groundtruth is not None:
+        checked_instance(groundtruth, "ground truth", Trajectory)
     truth = _true_states(run, groundtruth, run_path, groundtruth_path)
     has_truth = known_states(truth)
     name = run.default_estimate if estimate is None else estimate
@@ -302,7 +306,7 @@ def evaluate_run(
     has_estimate = known_states(estimated)
     own = np.array([name in frame.estimates for frame in run.frames])
     if not np.any(has_truth & has_estimate):
-        raise InputError(run_path, f"no frame with ground truth has an estimate {name!r}")
+        raise InputError(run_path, f"no frame with ground truth has an estimate {quoted(name)}")
     odometry = None
     if run.odometry is not None:
         odometry = _evaluate_track(run.space, odometry_states(run, truth), truth)

@@ -12,6 +12,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from pipelines.artifacts.arguments import check_fields, checked_choice
 from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import OptionError, StageError
 from pipelines.localize.belief import effective_sample_size, normalise_log_weights
@@ -48,6 +49,7 @@ class Likelihood:
     channels: Channels = Channels.COLOUR
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if not (np.isfinite(self.sharpness) and self.sharpness > 0.0):
             raise OptionError(f"a likelihood's sharpness {self.sharpness:g} must be positive")
         if self.one_pixel_in not in SUBSAMPLING_SHIFTS:
@@ -94,12 +96,14 @@ LIKELIHOODS: Mapping[str, Likelihood] = MappingProxyType(
 def likelihood_named(name: str) -> Likelihood:
     """The likelihood with its default sharpness.
 
+    Args:
+        name: ``evidence``, ``squared`` (the paper's: Heigl, Denzler, Niemann 2001, section 6),
+            ``robust``, ``zncc`` or ``gradient``.
+
     Raises:
         OptionError: unknown name.
     """
-    if name not in LIKELIHOODS:
-        raise OptionError(f"likelihood {name!r} is none of {', '.join(LIKELIHOODS)}")
-    return LIKELIHOODS[name]
+    return LIKELIHOODS[checked_choice(name, "likelihood", LIKELIHOODS)]
 
 
 def tempered(

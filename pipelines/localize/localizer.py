@@ -15,12 +15,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipelines.artifacts.arrays import BoolArray, FloatArray, ImageArray
+from pipelines.artifacts.arguments import checked_instance, checked_number
+from pipelines.artifacts.arrays import BoolArray, FloatArray, ImageArray, checked_array
 from pipelines.artifacts.errors import OptionError
+from pipelines.dataset.dataset import Dataset
 from pipelines.geometry.camera import Camera
+from pipelines.geometry.pose import checked_poses
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.belief import Region, effective_sample_size, region_of_area
 from pipelines.localize.confidence import confidence
+from pipelines.localize.dataset_camera import camera_and_mount
 from pipelines.localize.estimate import max_weight_state, mean_state, modes_table
 from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.mixture_mcl import MixtureProposalMcl
@@ -40,22 +44,28 @@ AROUND_VIEWS = 0.5
 
 
 class Localizer:
-    """Follows one body through one scene.
+    """Follows one body through one scene, by a particle filter.
+
+    The filter of Heigl, Denzler, Niemann (2001), equations (1) and (2): particles are moved by
+    odometry, and weighted by comparing the camera image with the view that the light field shows at
+    each of them. Search, statuses and confidence go beyond the paper: ``docs/localization.md``.
 
     Args:
         scene: the light field.
         camera: of the robot; need not be the one that recorded the scene.
-        body_from_camera: ``(4, 4)`` its mount on the robot; the identity where the camera is the
-            body.
-        settings: of the particle filter.
-        rng: the only source of randomness.
+        body_from_camera: ``(4, 4)`` the camera's mount on the robot, metres; the identity where the
+            camera is the body.
+        settings: of the particle filter; None: the defaults.
+        rng: the only source of randomness; None: one of seed 0.
         model: compares states with images; built from the scene when None.
         mask: ``(height, width)``, True where the camera's images as recorded are to be used; None:
             everywhere.
 
     Raises:
-        OptionError: an area that does not touch the scene's bounds, or a mask that does not go with
-            the camera.
+        OptionError: an area that does not touch the scene's bounds, a mask that does not go with
+            the camera, a device or depth maps that are asked for and not there, or an argument of
+            another type or shape.
+        InputError: a photo of the scene cannot be decoded.
     """
 
     def __init__(
@@ -63,11 +73,20 @@ class Localizer:
         scene: Scene,
         camera: Camera,
         body_from_camera: FloatArray,
-        settings: LocalizerSettings,
-        rng: np.random.Generator,
+        settings: LocalizerSettings | None = None,
+        rng: np.random.Generator | None = None,
         model: MeasurementModel | None = None,
         mask: BoolArray | None = None,
     ) -> None:
+        settings = LocalizerSettings() if settings is None else settings
+        rng = np.random.default_rng(0) if rng is None else rng
+        checked_instance(scene, "the scene", Scene)
+        checked_instance(camera, "the camera", Camera)
+        checked_instance(settings, "settings", LocalizerSettings)
+        checked_instance(rng, "rng", np.random.Generator)
+        body_from_camera = checked_poses(body_from_camera, "body_from_camera")
+        if model is not None:
+            checked_instance(model, "model", MeasurementModel)
         self.settings = settings
         self.space = settings.state_space
         self._observer = Observer(camera, settings.widths, mask)
@@ -83,6 +102,39 @@ class Localizer:
         sigmas = sigmas_of(self.space, settings.map_position_sigma, settings.map_heading_sigma)
         self._map_covariance = np.diag(sigmas**2)
         self._moved = np.zeros(self.space.dimension)
+
+    @classmethod
+    def of_dataset(
+        cls,
+        scene: Scene,
+        dataset: Dataset,
+        settings: LocalizerSettings | None = None,
+        *,
+        seed: int = 0,
+        model: MeasurementModel | None = None,
+    ) -> "Localizer":
+        """A localizer of the camera of a data set, with its mount and mask.
+
+        Args:
+            scene: the light field.
+            dataset: whose ``camera.toml`` describes the robot; its images are not read.
+            settings: of the filter; None: the defaults.
+            seed: of the filter's random numbers, not negative.
+            model: compares states with images; made here when None.
+
+        Raises:
+            InputError: the data set lacks the camera, or the mount that a robot on a floor needs;
+                a photo of the scene cannot be decoded.
+            OptionError: an area that does not touch the scene's bounds, a device or depth maps that
+                are asked for and not there, or an argument of another type.
+        """
+        settings = LocalizerSettings() if settings is None else settings
+        checked_instance(settings, "settings", LocalizerSettings)
+        checked_number(seed, "seed", 0, whole=True)
+        camera, mount = camera_and_mount(dataset, settings.state_space)
+        mask = None if dataset.mask is None else dataset.mask.used
+        rng = np.random.default_rng(seed)
+        return cls(scene, camera, mount, settings, rng, model, mask)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -100,21 +152,29 @@ class Localizer:
         """Takes one camera image and the motion since the one before.
 
         Args:
-            image: ``(height, width, 3)`` RGB as recorded.
+            image: ``(height, width, 3)`` RGB, 8 bits, as recorded (not undistorted). The array may
+                be filled anew afterwards.
             odometry_increment: ``(D,)``: metres along the body's axes and radians about them (for
                 a robot on the floor: forward, left, counter-clockwise), in the body's frame before
                 the motion; None: nobody knows, a random walk. Not used for the first image.
             timestamp: seconds, kept in the record.
             image_name: kept in the record.
-            hypotheses: ``(K, D)`` states found by other means, from which the search starts as well
-                (strategy ``informed`` only).
+            hypotheses: ``(K, D)`` states found by other means, from which the search starts as
+                well, in the world, metres and radians (strategy ``informed`` only).
 
         Returns:
             The belief, the estimates drawn from it, and how sure they are.
 
         Raises:
-            OptionError: an image of another size than the camera, or a motion that is not finite.
+            OptionError: an image of another size than the camera's or that is not of 8 bits, or a
+                motion, time or hypotheses that are not finite numbers of these shapes. The filter
+                is then as it was before.
         """
+        checked_array(timestamp, "timestamp", ())
+        checked_instance(image_name, "image name", str)
+        if hypotheses is not None:
+            states = (None, self.space.dimension)
+            hypotheses = checked_array(hypotheses, "hypotheses", states)
         # First, since what is refused must leave no trace.
         motion = checked_increment(self.space, odometry_increment)
         seconds: dict[str, float] = {}

@@ -11,7 +11,10 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
-from pipelines.artifacts.arrays import BoolArray, FloatArray
+from pipelines.artifacts.arguments import checked_instance, checked_number
+from pipelines.artifacts.arrays import BoolArray, FloatArray, checked_array
+from pipelines.artifacts.errors import OptionError, quoted
+from pipelines.geometry.pose import checked_poses
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.views import Views, views_of_scene
 from pipelines.localize.alignment import Alignment, Prior, align
@@ -38,6 +41,8 @@ LEAST_EXPLAINED = 0.1
 
 class MeasurementModel:
     """Compares states with camera images, by the views rendered at them.
+
+    p(image | state) of Heigl, Denzler, Niemann (2001), equation (2). From a scene: ``of_scene``.
 
     Args:
         colours: the photos, in colours.
@@ -74,9 +79,20 @@ class MeasurementModel:
     ) -> "MeasurementModel":
         """The model of a scene for a filter's settings.
 
+        Args:
+            scene: the light field.
+            body_from_camera: ``(4, 4)`` the camera's mount on the robot, metres; the identity where
+                the camera is the body.
+            settings: of the filter that will use it.
+
         Raises:
-            OptionError: a device that is not there, or a quality that needs depth maps.
+            OptionError: a device that is not there, a quality that needs depth maps, a mount that
+                is no rigid transform, or an argument of another type.
+            InputError: a photo of the scene cannot be decoded.
         """
+        checked_instance(scene, "the scene", Scene)
+        checked_instance(settings, "settings", LocalizerSettings)
+        body_from_camera = checked_poses(body_from_camera, "body_from_camera")
         side = VIEW_RESOLUTION_FACTOR * settings.fine_width
         colours = views_of_scene(scene, side)
         quality = quality_named(settings.quality, bool(scene.depth), Quality.MEDIUM)
@@ -109,8 +125,20 @@ class MeasurementModel:
         return self._absolute.channels
 
     def log_likelihoods(self, states: FloatArray, observation: Observation) -> FloatArray:
-        """Log-likelihoods ``(M,)`` of states ``(M, D)``, up to a common constant."""
+        """How likely an image is at states, by the settings' likelihood.
+
+        Args:
+            states: ``(M, D)`` in the world, metres and radians.
+            observation: the image, as an ``Observer`` prepares it.
+
+        Returns:
+            ``(M,)`` natural logarithms, up to a common constant.
+
+        Raises:
+            OptionError: states that are not finite numbers of this shape, or no observation.
+        """
         likelihood = self.likelihood
+        checked_instance(observation, "observation", Observation)
         if likelihood.cost is Cost.EVIDENCE:
             return self.evidence(states, observation, likelihood.one_pixel_in)
         own = observation.in_channels(likelihood.channels)
@@ -129,10 +157,18 @@ class MeasurementModel:
         """What an image says for states ``(M, D)`` against "it does not show the map", ``(M,)``.
 
         Args:
-            states: world_from_body.
-            observation: the image.
+            states: ``(M, D)`` world_from_body, metres and radians.
+            observation: the image, as an ``Observer`` prepares it.
             one_pixel_in: one in so many pixels is compared; they stand for all.
+
+        Returns:
+            ``(M,)`` natural logarithms of likelihood ratios: positive for, negative against.
+
+        Raises:
+            OptionError: states that are not finite numbers of this shape, or no observation.
         """
+        checked_instance(observation, "observation", Observation)
+        checked_number(one_pixel_in, "one pixel in", 1, whole=True)
         own = observation.in_channels(self.channels)
         image = own.subsampled(one_pixel_in)
         compared = max(int(np.count_nonzero(np.isfinite(image[..., 0]))), 1)
@@ -169,22 +205,28 @@ class MeasurementModel:
         """How much of what an image says at a right pose in the map's own light it says here.
 
         Args:
-            state: ``(D,)``.
-            observation: the image.
+            state: ``(D,)`` in the world, metres and radians.
+            observation: the image, as an ``Observer`` prepares it.
 
         Returns:
             1 where the image is explained as well as the map's own photos are by each other, less
             where light or contents have changed; at most 1, and never below ``LEAST_EXPLAINED``.
         """
+        state = checked_array(state, "state", (self.space.dimension,))
         return self.explained_by(self.evidence_at(state, observation), observation)
 
     def explained_by(self, evidence: float, observation: Observation) -> float:
-        """What ``explained`` returns, for a state whose evidence is known.
+        """The share that ``explained`` returns, for a state whose evidence is known.
 
         Args:
-            evidence: of the image for the state.
-            observation: the image.
+            evidence: of the image for the state, a natural logarithm.
+            observation: the image, as an ``Observer`` prepares it.
+
+        Raises:
+            OptionError: no observation, or no number.
         """
+        checked_instance(observation, "observation", Observation)
+        checked_number(evidence, "evidence")
         own = observation.in_channels(self.channels)
         pixels = self.pixels(own.intrinsics.width)
         rows = pixels.rows(own.image[own.used]).astype(np.int64)
@@ -207,8 +249,13 @@ class MeasurementModel:
         Args:
             belief: the posterior.
             log_prior: ``(M,)`` log-weights of its particles before the image, normalised.
-            observation: the image.
+            observation: the image, as an ``Observer`` prepares it.
+
+        Raises:
+            OptionError: other types or shapes.
         """
+        checked_instance(belief, "belief", Belief)
+        checked_array(log_prior, "log-prior", (len(belief),), finite=False)
         heaviest = np.argsort(-belief.log_weights, kind="stable")[:HEAVIEST]
         log_weights = belief.log_weights[heaviest]
         weights = np.exp(log_weights)
@@ -221,12 +268,24 @@ class MeasurementModel:
         return float(compressed(mean))
 
     def pixels(self, width: int) -> PixelEvidence:
-        """The evidence of pixel differences in images of this width; learnt once."""
+        """The evidence of pixel differences in images of a width; learnt once.
+
+        Args:
+            width: of the images, pixels.
+
+        Raises:
+            OptionError: no whole number of at least 1.
+        """
+        checked_number(width, "width", 1, whole=True)
         self.learn_pixels([width])
         return self._pixels[width].result()
 
     def learn_pixels(self, widths: Sequence[int]) -> None:
-        """Begins to learn the evidence in images of these widths, and does not wait."""
+        """Begins to learn the evidence in images of these widths, and does not wait.
+
+        Args:
+            widths: of the images, pixels.
+        """
         for width in widths:
             if width not in self._pixels:
                 self._pixels[width] = self._learner.submit(
@@ -240,16 +299,26 @@ class MeasurementModel:
         widths: Sequence[int],
         prior: Prior | None = None,
     ) -> Alignment:
-        """A state aligned with the image.
+        """A state aligned with an image in several sizes, coarse to fine.
 
         Args:
-            state: ``(D,)`` where the alignment begins.
+            state: ``(D,)`` where the alignment begins, in the world, metres and radians.
             observations: the image.
-            widths: sizes of the image, coarse to fine.
-            prior: what is known of the state before; None: nothing.
+            widths: of its sizes, pixels.
+            prior: what is known of the state before, which holds the alignment where the image says
+                nothing; None: the image alone decides.
+
+        Raises:
+            OptionError: a state that is not finite numbers of this shape, or a width that the image
+                was not prepared in.
         """
+        state = checked_array(state, "state", (self.space.dimension,))
+        for width in widths:
+            if width not in checked_instance(observations, "image", Observations).by_width:
+                raise OptionError(f"the image was not prepared {quoted(width)} pixels wide")
         images = [observations.by_width[width].in_channels(self.channels) for width in widths]
         return align(self.renderer, self.space, state, self.body_from_camera, images, prior=prior)
 
     def _poses(self, states: FloatArray) -> FloatArray:
+        states = checked_array(states, "states", (None, self.space.dimension))
         return self.space.poses(states) @ self.body_from_camera

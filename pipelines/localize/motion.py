@@ -21,7 +21,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from pipelines.artifacts.arrays import FloatArray
+from pipelines.artifacts.arguments import check_fields
+from pipelines.artifacts.arrays import FloatArray, checked_array
 from pipelines.artifacts.errors import OptionError
 from pipelines.localize.state_space import StateSpace, sigmas_of
 
@@ -29,6 +30,11 @@ from pipelines.localize.state_space import StateSpace, sigmas_of
 @dataclass(frozen=True)
 class MotionModel:
     """How far odometry is trusted. Zero is allowed everywhere and means: exact.
+
+    The odometry model of Thrun, Burgard, Fox, *Probabilistic Robotics*, chapter 5.4, with the noise
+    on the increment itself. Of a turn r and a translation t, the variance of the heading is
+    alpha1 r^2 + alpha2 t^2 + heading_floor^2, and that of the position, along and across the
+    heading each, alpha3 t^2 + alpha4 r^2 + position_floor^2.
 
     Attributes:
         alpha1: heading noise from turning, rad^2 a rad^2.
@@ -54,6 +60,7 @@ class MotionModel:
     walk_heading: float = 0.12
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for field in fields(self):
             value = getattr(self, field.name)
             if not (np.isfinite(value) and value >= 0.0):
@@ -89,10 +96,7 @@ def checked_increment(space: StateSpace, increment: FloatArray | None) -> FloatA
     """
     if increment is None:
         return None
-    motion = np.asarray(increment, dtype=np.float64)
-    if motion.shape != (space.dimension,) or not np.all(np.isfinite(motion)):
-        raise OptionError(f"odometry increment {motion} is not {space.dimension} finite numbers")
-    return motion
+    return checked_array(increment, "odometry increment", (space.dimension,))
 
 
 def predict(

@@ -19,8 +19,9 @@ from types import MappingProxyType
 import cv2
 import numpy as np
 
-from pipelines.artifacts.arrays import BoolArray, Float32Array, ImageArray
-from pipelines.artifacts.errors import OptionError
+from pipelines.artifacts.arguments import checked_instance, checked_number
+from pipelines.artifacts.arrays import BoolArray, Float32Array, ImageArray, checked_array
+from pipelines.artifacts.errors import OptionError, quoted
 from pipelines.dataset.mask import SMALLEST_USED_SHARE
 from pipelines.geometry.camera import Camera, Intrinsics, Undistorter
 from pipelines.lightfield.views import area_average, query_intrinsics
@@ -160,13 +161,19 @@ class Observer:
         mask: ``(height, width)``, True where images as recorded are to be used; None: everywhere.
 
     Raises:
-        OptionError: a mask of another size than the camera, or one that leaves next to nothing.
+        OptionError: a mask of another size than the camera, one that leaves next to nothing, widths
+            that are no whole numbers of at least 1, or a camera of another type.
     """
 
     def __init__(
         self, camera: Camera, widths: Sequence[int], mask: BoolArray | None = None
     ) -> None:
-        self._undistorter = Undistorter(camera)
+        self._undistorter = Undistorter(checked_instance(camera, "the camera", Camera))
+        given: object = widths
+        if not isinstance(given, Sequence) or not given:
+            raise OptionError(f"widths {quoted(widths)} are no list of widths in pixels")
+        for width in widths:
+            checked_number(width, "width", 1, whole=True)
         self._intrinsics = {
             width: query_intrinsics(camera, self._undistorter, width) for width in set(widths)
         }
@@ -182,7 +189,15 @@ class Observer:
         self._last: ImageArray | None = None
 
     def __call__(self, image: ImageArray) -> Observations:
-        """The sizes of one image ``(height, width, 3)``, RGB as recorded."""
+        """The sizes of one image.
+
+        Args:
+            image: ``(height, width, 3)`` RGB, 8 bits, as recorded (not undistorted).
+
+        Raises:
+            OptionError: no image of 8 bits of the camera's size.
+        """
+        image = checked_array(image, "image", (None, None, 3), np.uint8)
         # First, since it refuses what is no image of this camera.
         straight = self._undistorter(image)
         is_repeated = self._last is not None and is_same(image, self._last)
@@ -244,6 +259,7 @@ def check_mask(mask: BoolArray, camera: Camera) -> None:
     Raises:
         OptionError: it has another shape.
     """
+    mask = checked_array(mask, "the mask", (None, None), np.bool_)
     if mask.shape != (camera.height, camera.width):
         raise OptionError(
             f"the mask has the shape {mask.shape}, "

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pipelines.artifacts.arrays import FloatArray, IntArray
-from pipelines.artifacts.errors import OptionError, StageError
+from pipelines.artifacts.errors import OptionError, StageError, quoted
 
 Scheme: TypeAlias = Callable[[FloatArray, int, np.random.Generator], IntArray]
 
@@ -39,7 +39,9 @@ def resample(log_weights: ArrayLike, count: int, scheme: str, rng: np.random.Gen
         StageError: no particle has weight, or a weight is NaN or +inf.
     """
     if scheme not in SCHEMES:
-        raise OptionError(f"unknown resampling scheme {scheme!r}; known are {', '.join(SCHEMES)}")
+        raise OptionError(
+            f"unknown resampling scheme {quoted(scheme)}; known are {', '.join(SCHEMES)}"
+        )
     if count < 1:
         raise OptionError(f"{count} particles; at least 1 is needed")
     values = np.asarray(log_weights, dtype=np.float64)

@@ -8,16 +8,21 @@ docked (``docking_record``), and a group a frame, ``frames/0000`` ..., with ``fr
 group: all datasets of two runs with the same seed are equal, and time never is.
 """
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipelines.artifacts.arrays import FloatArray
-from pipelines.artifacts.errors import InputError, LfnavError, OptionError
+from pipelines.artifacts.arguments import (
+    PathLike,
+    checked_choice,
+    checked_instance,
+    checked_number,
+    checked_path,
+)
+from pipelines.artifacts.arrays import FloatArray, checked_array
+from pipelines.artifacts.errors import InputError, LfnavError, OptionError, quoted, reason_of
 from pipelines.artifacts.safe_hdf5 import (
     SafeFile,
     check_schema,
@@ -90,27 +95,28 @@ class FrameRecord:
     refined_covariance: FloatArray | None = None
 
     def __post_init__(self) -> None:
+        _check_mapping(self.estimates, "estimates")
+        _check_mapping(self.seconds, "seconds")
         # Belief's own checks are the ones that particles and weights have to pass.
         Belief(self.particles, self.log_weights)
         dimension = self.particles.shape[1]
         for name, state in self.estimates.items():
-            if not name.isidentifier():
-                raise OptionError(f"{name!r} is not a name for an estimate")
-            _check_finite(f"estimate {name}", state, (dimension,))
-        _check_finite("modes", self.modes, (len(self.modes), dimension + 1))
-        _check_finite("covariance", self.covariance, (dimension, dimension))
+            if not checked_instance(name, "name of an estimate", str).isidentifier():
+                raise OptionError(f"{quoted(name)} is not a name for an estimate")
+            checked_array(state, f"estimate {name}", (dimension,))
+        checked_array(self.modes, "modes", (None, dimension + 1))
+        square = (dimension, dimension)
+        checked_array(self.covariance, "covariance", square)
         if self.refined_covariance is not None:
-            shape = (dimension, dimension)
-            _check_finite("covariance of refined", self.refined_covariance, shape)
-        if self.status not in STATUSES:
-            raise OptionError(f"status {self.status!r} is none of {', '.join(STATUSES)}")
-        if not 0.0 <= self.confidence <= 1.0:
-            raise OptionError(f"confidence {self.confidence:g} lies outside 0 to 1")
-        if not (np.isfinite(self.timestamp) and np.isfinite(self.effective_sample_size)):
-            raise OptionError("timestamp or effective sample size is not finite")
+            checked_array(self.refined_covariance, "covariance of refined", square)
+        checked_choice(self.status, "status", STATUSES)
+        checked_number(self.confidence, "confidence", 0.0, 1.0)
+        checked_array(self.timestamp, "timestamp", ())
+        checked_array(self.effective_sample_size, "effective sample size", ())
         for stage, seconds in self.seconds.items():
-            if not (stage.isidentifier() and np.isfinite(seconds)):
-                raise OptionError(f"stage {stage!r} took {seconds:g} seconds")
+            checked_array(seconds, f"seconds of {quoted(stage)}", ())
+            if not checked_instance(stage, "name of a stage", str).isidentifier():
+                raise OptionError(f"{quoted(stage)} is not a name for a stage")
 
     @property
     def belief(self) -> Belief:
@@ -120,7 +126,7 @@ class FrameRecord:
 
 @dataclass(frozen=True)
 class Run:
-    """A localized sequence.
+    """A localized recording.
 
     Attributes:
         scene_identifier: content hash of the scene model it was made with.
@@ -157,6 +163,11 @@ class Run:
     docking: DockingRecord | None = None
 
     def __post_init__(self) -> None:
+        for number, frame in enumerate(checked_instance(self.frames, "frames", tuple)):
+            checked_instance(frame, f"frame {number}", FrameRecord)
+        checked_instance(self.encoded_images, "encoded images", tuple)
+        checked_instance(self.camera, "camera", Camera)
+        _check_mapping(self.settings, "settings")
         count = len(self.frames)
         if count == 0:
             raise OptionError("the run has no frames")
@@ -164,15 +175,15 @@ class Run:
             raise OptionError(f"{count} frames with {len(self.encoded_images)} images")
         if np.any(np.diff(self.timestamps) <= 0.0):
             raise OptionError("the frames' timestamps do not increase")
-        _check_finite("base_from_camera", self.base_from_camera, (4, 4))
+        checked_array(self.base_from_camera, "base_from_camera", (4, 4))
         dimension = self.frames[0].particles.shape[1]
         if any(frame.particles.shape[1] != dimension for frame in self.frames):
             raise OptionError("the frames' states differ in their degrees of freedom")
         shape = (count, dimension)
         if self.odometry is not None:
-            _check_finite("odometry", self.odometry, shape)
-        if self.groundtruth is not None and self.groundtruth.shape != shape:
-            raise OptionError(f"ground truth has shape {self.groundtruth.shape}, not {shape}")
+            checked_array(self.odometry, "odometry", shape)
+        if self.groundtruth is not None:
+            checked_array(self.groundtruth, "ground truth", shape, finite=False)
 
     @property
     def space(self) -> StateSpace:
@@ -233,9 +244,10 @@ class Run:
             OptionError: no frame has an estimate of this name.
         """
         name = self.default_estimate if estimate is None else estimate
+        checked_instance(name, "estimate", str)
         if name not in self.estimate_names:
             raise OptionError(
-                f"the run has no estimate {name!r}; it has {', '.join(self.estimate_names)}"
+                f"the run has no estimate {quoted(name)}; it has {', '.join(self.estimate_names)}"
             )
         missing = np.full(self.space.dimension, np.nan)
         stand_in = STAND_INS.get(name, name) if estimate is None else name
@@ -247,43 +259,25 @@ class Run:
         )
 
 
-def relative_scene_path(scene_path: Path, run_path: Path) -> str:
-    """How a run file refers to its scene: relative to the run's folder, so that both can move."""
-    try:
-        return os.path.relpath(scene_path.resolve(), run_path.resolve().parent)
-    except ValueError:
-        # On Windows there is no way from one drive to another.
-        return str(scene_path.resolve())
+def _check_mapping(value: object, name: str) -> None:
+    if not isinstance(value, Mapping):
+        raise OptionError(f"{name} of type {type(value).__name__} instead of a mapping")
 
 
-def locate_scene(run: Run, run_path: Path) -> Path:
-    """Where the run's scene lies, if both are still where they were; existence is not checked."""
-    return Path(os.path.normpath(run_path.parent / run.scene_path))
+def save_run(path: PathLike, run: Run, overwrite: bool = False) -> None:
+    """Writes a run, whole or not at all.
 
-
-def check_run_belongs_to(
-    run: Run, scene_identifier: str, run_path: Path | str, scene_path: Path | str
-) -> None:
-    """Makes sure that a run was made with a scene before the two are shown together.
-
-    Raises:
-        InputError: it was made with another one.
-    """
-    if run.scene_identifier != scene_identifier:
-        raise InputError(
-            run_path,
-            f"belongs to another scene than {scene_path}",
-            f"it was made with {run.scene_path} ({run.scene_identifier[:12]}), "
-            f"this one is {scene_identifier[:12]}",
-        )
-
-
-def save_run(path: Path, run: Run, overwrite: bool) -> None:
-    """Writes a run, atomically.
+    Args:
+        path: of the file, ``run.h5``.
+        run: the run.
+        overwrite: whether an existing file may be replaced.
 
     Raises:
         InputError: the file exists and ``overwrite`` is not set, or cannot be written.
+        OptionError: ``path`` is no path, or ``run`` no run.
     """
+    path = checked_path(path, "the run's path")
+    checked_instance(run, "the run", Run)
     with create_hdf5(path, overwrite) as file:
         write_schema(file, FORMAT, SCHEMA_VERSION)
         header = {
@@ -307,12 +301,17 @@ def save_run(path: Path, run: Run, overwrite: bool) -> None:
             _write_frame(file.create_group(_group_name(index)), frame, image)
 
 
-def load_run(path: Path) -> Run:
+def load_run(path: PathLike) -> Run:
     """Reads a run; the file may come from anybody.
 
+    Args:
+        path: of the file, ``run.h5``.
+
     Raises:
+        OptionError: ``path`` is no path.
         InputError: not a run, of a newer schema, damaged, or with values that do not fit together.
     """
+    path = checked_path(path, "the run's path")
     with open_hdf5(path) as file:
         check_schema(file, FORMAT, SCHEMA_VERSION)
         try:
@@ -320,7 +319,7 @@ def load_run(path: Path) -> Run:
         except InputError:
             raise
         except (LfnavError, *_MALFORMED) as error:
-            raise InputError(path, f"is not a valid run ({error})") from error
+            raise InputError(path, f"is not a valid run ({reason_of(error)})") from error
 
 
 def _group_name(index: int) -> str:
@@ -422,10 +421,3 @@ def _read_floats(file: SafeFile, name: str, shape: tuple[int | None, ...]) -> Fl
 
 def _read_optional_states(file: SafeFile, name: str, count: int) -> FloatArray | None:
     return _read_floats(file, name, (count, None)) if file.has(name) else None
-
-
-def _check_finite(name: str, values: FloatArray, shape: tuple[int, ...]) -> None:
-    if values.shape != shape:
-        raise OptionError(f"{name} has shape {values.shape} instead of {shape}")
-    if not np.all(np.isfinite(values)):
-        raise OptionError(f"{name} is not finite")

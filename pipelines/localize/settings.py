@@ -4,7 +4,8 @@ import math
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from pipelines.artifacts.errors import OptionError
+from pipelines.artifacts.arguments import check_fields, checked_choice
+from pipelines.artifacts.errors import OptionError, quoted
 from pipelines.localize.likelihood import LIKELIHOODS, Likelihood
 from pipelines.localize.motion import MotionModel
 from pipelines.localize.resampling import SCHEMES
@@ -26,7 +27,9 @@ MAX_THREADS = 4096
 
 @dataclass(frozen=True)
 class LocalizerSettings:
-    """Settings of the particle filter.
+    """Settings of the particle filter (Heigl, Denzler, Niemann 2001, equations (1) and (2)).
+
+    ``strategy_defaults("condensation")`` has what makes it the paper's.
 
     Attributes:
         method: ``filter``, or ``pnp``: each image for itself, by its features (``pnp.py``); nothing
@@ -43,7 +46,7 @@ class LocalizerSettings:
             ``particles`` where that is more.
         start: the state around which to start, D numbers, metres and radians; None: anywhere.
         start_position_sigma: standard deviation around ``start``, metres.
-        start_heading_sigma: likewise, radians.
+        start_heading_sigma: standard deviation of the heading around that of ``start``, radians.
         area: x_min, x_max, y_min, y_max to search in; None: the scene's bounds.
         likelihood: the observation model.
         motion: the motion model.
@@ -98,6 +101,7 @@ class LocalizerSettings:
     device: Device = Device.CPU
 
     def __post_init__(self) -> None:
+        check_fields(self)
         _one_of("method", self.method, METHODS)
         _one_of("proposal", self.proposal, PROPOSALS)
         _one_of("strategy", self.strategy, STRATEGIES)
@@ -191,11 +195,21 @@ class LocalizerSettings:
 
 
 def strategy_defaults(strategy: str) -> dict[str, Any]:
-    """The settings whose defaults a strategy changes, by field; ``strategy`` is among them.
+    """The settings whose defaults a strategy changes.
 
     Heigl, Denzler and Niemann (2001) compare squared differences of all pixels, draw independently,
     and take the particle with the most weight.
+
+    Args:
+        strategy: ``informed``, ``coarse_to_fine`` or ``condensation``, the paper's.
+
+    Returns:
+        Field of ``LocalizerSettings`` -> value, ``strategy`` among them.
+
+    Raises:
+        OptionError: another strategy.
     """
+    checked_choice(strategy, "strategy", STRATEGIES)
     if strategy != "condensation":
         return {"strategy": strategy}
     return {
@@ -208,7 +222,7 @@ def strategy_defaults(strategy: str) -> dict[str, Any]:
 
 def _one_of(name: str, value: str, known: tuple[str, ...]) -> None:
     if value not in known:
-        raise OptionError(f"{name} {value!r} is none of {', '.join(known)}")
+        raise OptionError(f"{name} {quoted(value)} is none of {', '.join(known)}")
 
 
 def _within(name: str, value: float, low: float, high: float) -> None:

@@ -7,30 +7,36 @@ from typing import Any
 
 import numpy as np
 
+from pipelines.artifacts.arguments import (
+    PathLike,
+    checked_instance,
+    checked_number,
+    checked_path,
+)
 from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.artifacts.atomic import check_output
 from pipelines.artifacts.errors import InputError, OptionError, StageError
 from pipelines.artifacts.provenance import provenance, sha256_of_file
-from pipelines.artifacts.stages import Progress
+from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.dataset.dataset import (
-    CAMERA_FILE,
     ODOMETRY_FILE,
     PAIRING_TOLERANCE,
     Dataset,
     load_dataset,
     poses_at_images,
 )
-from pipelines.geometry.camera import Camera
 from pipelines.geometry.planarity import check_planar
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_scene
 from pipelines.localize.belief import Region
+from pipelines.localize.dataset_camera import camera_and_mount
 from pipelines.localize.description import RunSummary
 from pipelines.localize.localizer import Localizer, region_of
 from pipelines.localize.map_heights import notes_on_heights
 from pipelines.localize.pnp import PnpLocalizer
 from pipelines.localize.pnp_frames import beside, pnp_record
-from pipelines.localize.run import FrameRecord, Run, relative_scene_path, save_run
+from pipelines.localize.run import FrameRecord, Run, save_run
+from pipelines.localize.scene_of_run import relative_scene_path
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import StateSpace
 from pipelines.reconstruct.reconstruction import (
@@ -45,41 +51,57 @@ NO_ODOMETRY = Path("none")
 
 
 def localize(
-    scene_path: Path,
-    dataset_path: Path,
-    output: Path,
-    settings: LocalizerSettings,
+    scene_path: PathLike,
+    dataset_path: PathLike,
+    output: PathLike,
+    settings: LocalizerSettings | None = None,
     *,
-    seed: int,
-    odometry: Path | None,
-    overwrite: bool,
-    progress: Progress,
-    reconstruction: Path | None = None,
+    seed: int = 0,
+    odometry: PathLike | None = None,
+    overwrite: bool = False,
+    progress: Progress = no_progress,
+    reconstruction: PathLike | None = None,
     ignore_odometry: bool = False,
-    mask: Path | None = None,
+    mask: PathLike | None = None,
 ) -> RunSummary:
     """Localizes the robot in every frame of a data set and writes the run.
 
     Args:
-        scene_path: scene model.
-        dataset_path: images, camera with mount, odometry.
-        output: the file to be written.
-        settings: of the filter.
-        seed: of its random numbers, not negative.
-        odometry: TUM file to use instead of the data set's own.
+        scene_path: scene model, made by ``model``.
+        dataset_path: folder with images, camera with mount, odometry.
+        output: the file to be written, ``run.h5``.
+        settings: of the filter; None: the defaults.
+        seed: of the filter's random numbers, not negative.
+        odometry: TUM file to use instead of the data set's own; None: the data set's own.
         overwrite: whether an existing file may be replaced.
         progress: told how far the work is.
-        reconstruction: folder of the scene's reconstruction, whose points PnP then uses.
-        ignore_odometry: whether to do without the data set's own.
-        mask: file to use instead of the data set's own.
+        reconstruction: folder of the scene's reconstruction, whose points PnP then uses; None: PnP
+            takes the scene's surface.
+        ignore_odometry: whether to do without the data set's odometry.
+        mask: file to use instead of the data set's own; None: the data set's own.
+
+    Returns:
+        What a person or a program wants to know of the run: ``table()``, ``to_dict()``.
 
     Raises:
         InputError: an input cannot be used, or the output not be written.
-        OptionError: settings that make no sense for this scene.
+        OptionError: settings that make no sense for this scene, or an argument of another type.
     """
+    scene_path = checked_path(scene_path, "the scene's path")
+    dataset_path = checked_path(dataset_path, "the data set's path")
+    output = checked_path(output, "the run's path")
+    odometry, reconstruction, mask = (
+        None if path is None else checked_path(path, f"the {name}'s path")
+        for name, path in (
+            ("odometry", odometry),
+            ("reconstruction", reconstruction),
+            ("mask", mask),
+        )
+    )
+    settings = LocalizerSettings() if settings is None else settings
+    checked_instance(settings, "settings", LocalizerSettings)
     check_output(output, overwrite)
-    if seed < 0:
-        raise OptionError(f"seed {seed} is negative")
+    checked_number(seed, "seed", 0, whole=True)
     if reconstruction is not None and not settings.uses_pnp:
         raise OptionError("a reconstruction is of use to PnP alone, which nothing asks for")
     scene = load_scene(scene_path)
@@ -119,13 +141,13 @@ def localize(
 def localize_dataset(
     scene: Scene,
     dataset: Dataset,
-    settings: LocalizerSettings,
+    settings: LocalizerSettings | None = None,
     *,
-    seed: int,
-    odometry_source: Path,
-    scene_path: str,
-    record: dict[str, Any],
-    progress: Progress,
+    seed: int = 0,
+    odometry_source: Path | None = None,
+    scene_path: str = "",
+    record: dict[str, Any] | None = None,
+    progress: Progress = no_progress,
     reconstruction: Reconstruction | None = None,
     reconstruction_path: str = "reconstruction",
 ) -> Run:
@@ -134,11 +156,11 @@ def localize_dataset(
     Args:
         scene: the light field.
         dataset: with camera, mount and odometry, and a mask where there is one.
-        settings: of the filter.
-        seed: of its random numbers.
-        odometry_source: the odometry's file, for errors.
-        scene_path: how the run refers to its scene.
-        record: the run's provenance.
+        settings: of the filter; None: the defaults.
+        seed: of the filter's random numbers, not negative.
+        odometry_source: how errors name the odometry's file; None: as the data set's own.
+        scene_path: how the run refers to its scene: from the folder in which the run is stored.
+        record: the run's provenance, plain JSON types; None: versions and settings.
         progress: told how far the work is.
         reconstruction: the scene's, whose points PnP then uses; None: the scene's surface.
         reconstruction_path: how errors name it.
@@ -146,9 +168,20 @@ def localize_dataset(
     Raises:
         InputError: the data set lacks camera, mount or odometry, its odometry is not that of a
             robot on a floor, or an image cannot be read.
+        OptionError: settings that make no sense for this scene, or an argument of another type.
     """
+    settings = LocalizerSettings() if settings is None else settings
+    checked_instance(scene, "the scene", Scene)
+    checked_instance(dataset, "the data set", Dataset)
+    checked_instance(settings, "settings", LocalizerSettings)
+    checked_number(seed, "seed", 0, whole=True)
+    if odometry_source is None:
+        odometry_source = dataset.root / ODOMETRY_FILE
+    if record is None:
+        inputs = {"scene": scene.identifier}
+        record = provenance("localize", {**settings.to_dict(), "seed": seed}, inputs)
     space = settings.state_space
-    camera, mount = _camera_and_mount(dataset, space)
+    camera, mount = camera_and_mount(dataset, space)
     mask = None if dataset.mask is None else dataset.mask.used
     notes = list(check_odometry(dataset, settings, odometry_source))
     if space.angles == 1:
@@ -264,22 +297,6 @@ def _locator(
         return beside(record, answer, noted=settings.with_pnp)
 
     return step
-
-
-def _camera_and_mount(dataset: Dataset, space: StateSpace) -> tuple[Camera, FloatArray]:
-    if dataset.camera is None:
-        raise InputError(
-            dataset.root / CAMERA_FILE, "is missing: localization needs the robot's camera"
-        )
-    if dataset.base_from_camera is None and space.angles == 3:
-        return dataset.camera, np.eye(4)
-    if dataset.base_from_camera is None:
-        raise InputError(
-            dataset.root / CAMERA_FILE,
-            "has no [mount]: a planar robot needs to know where its camera sits",
-            "add [mount] with x, y, z, roll, pitch, yaw, or give --dof 6 for a hand-held camera",
-        )
-    return dataset.camera, dataset.base_from_camera
 
 
 def _groundtruth_states(dataset: Dataset, space: StateSpace) -> FloatArray | None:

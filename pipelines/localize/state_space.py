@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import scipy
 
-from pipelines.artifacts.arrays import BoolArray, FloatArray, IntArray
-from pipelines.artifacts.errors import OptionError
+from pipelines.artifacts.arrays import BoolArray, FloatArray, IntArray, checked_array
+from pipelines.artifacts.errors import OptionError, quoted
 from pipelines.geometry.pose import (
+    checked_poses,
     inverse,
     planar_state_of,
     pose_from_rotation,
@@ -36,7 +37,10 @@ LARGEST_ANGLE_SPREAD = math.pi / math.sqrt(3.0)
 
 
 class StateSpace(Protocol):
-    """The operations on states that the filter needs."""
+    """What a state is, and the operations on states that the filter needs.
+
+    A state is a vector of D numbers, metres first and then radians, of a body in the world.
+    """
 
     @property
     def name(self) -> str:
@@ -55,36 +59,124 @@ class StateSpace(Protocol):
         """How many there are."""
 
     def poses(self, states: FloatArray) -> FloatArray:
-        """``world_from_body`` of states ``(..., D)``: ``(..., 4, 4)``."""
+        """Poses of states.
+
+        Args:
+            states: ``(..., D)``.
+
+        Returns:
+            ``(..., 4, 4)`` world_from_body.
+
+        Raises:
+            OptionError: no array of this shape.
+        """
 
     def states(self, poses: FloatArray) -> FloatArray:
-        """States ``(..., D)`` of ``world_from_body``, ``(..., 4, 4)``."""
+        """States of poses.
+
+        Args:
+            poses: ``(..., 4, 4)`` world_from_body.
+
+        Returns:
+            ``(..., D)``.
+
+        Raises:
+            OptionError: no array of this shape.
+        """
 
     def moved(self, states: FloatArray, offsets: FloatArray) -> FloatArray:
-        """States plus differences ``(..., D)``."""
+        """States plus differences.
+
+        Args:
+            states: ``(..., D)``.
+            offsets: ``(..., D)`` metres along the world's axes and radians about them.
+
+        Returns:
+            ``(..., D)``.
+        """
 
     def difference(self, states: FloatArray, centre: FloatArray) -> FloatArray:
-        """What leads from ``centre`` to ``states``, ``(..., D)``; angles by the shortest way."""
+        """What leads from one state to others; angles by the shortest way.
+
+        Args:
+            states: ``(..., D)`` to where.
+            centre: ``(..., D)`` from where.
+
+        Returns:
+            ``(..., D)`` metres along the world's axes and radians about them.
+        """
 
     def composed(self, states: FloatArray, increments: FloatArray) -> FloatArray:
-        """States after motions ``(..., D)`` that are given in each state's own frame."""
+        """States after motions that are given in each state's own frame.
+
+        Args:
+            states: ``(..., D)`` before the motion.
+            increments: ``(..., D)`` metres along the body's axes and radians about them.
+
+        Returns:
+            ``(..., D)``.
+        """
 
     def increment(self, before: FloatArray, after: FloatArray) -> FloatArray:
-        """The motion ``(D,)`` between two poses ``(4, 4)``, in the frame of the first."""
+        """The motion between two poses, as ``Localizer.step`` takes it.
+
+        Args:
+            before: ``(4, 4)`` world_from_body before the motion, in any world: odometry's will do.
+            after: ``(4, 4)`` world_from_body after it, in the same world.
+
+        Returns:
+            ``(D,)`` metres along the body's axes before the motion and radians about them.
+
+        Raises:
+            OptionError: no arrays of these shapes.
+        """
 
     def mean(self, states: FloatArray, weights: FloatArray) -> FloatArray:
-        """Weighted mean ``(D,)``; where headings cancel out, the heaviest state's is taken."""
+        """The weighted mean; where the headings cancel out, the heaviest state's is taken.
+
+        Args:
+            states: ``(M, D)``.
+            weights: ``(M,)``, not negative.
+
+        Returns:
+            ``(D,)``.
+        """
 
     def spread(self, states: FloatArray) -> FloatArray:
-        """Standard deviation ``(D,)`` of states ``(M, D)`` about their mean."""
+        """How far states lie apart.
+
+        Args:
+            states: ``(M, D)``.
+
+        Returns:
+            ``(D,)`` standard deviations about their mean, metres and radians.
+        """
 
     def uniform(
         self, low: FloatArray, high: FloatArray, count: int, rng: np.random.Generator
     ) -> FloatArray:
-        """``(count, D)`` states with positions between two corners, in any orientation."""
+        """States with positions between two corners, in any orientation.
+
+        Args:
+            low: one corner, metres.
+            high: the other corner, metres, nowhere below ``low``.
+            count: how many.
+            rng: the only source of randomness.
+
+        Returns:
+            ``(count, D)``.
+        """
 
     def pair_angles(self, states: FloatArray, others: FloatArray) -> FloatArray:
-        """Angles ``(A, B)`` in [0, pi] between the orientations of states and others."""
+        """Angles between the orientations of states and others.
+
+        Args:
+            states: ``(A, D)``.
+            others: ``(B, D)``.
+
+        Returns:
+            ``(A, B)`` radians, in [0, pi].
+        """
 
     def orientation_volume(self) -> float:
         """The integral over all orientations, in the measure of differences."""
@@ -129,6 +221,7 @@ class Planar:
 
     def increment(self, before: FloatArray, after: FloatArray) -> FloatArray:
         """The motion ``(3,)`` between two poses that are projected to the plane."""
+        before, after = _checked_poses(before), _checked_poses(after)
         return planar_state_of(inverse(world_from_base_planar(planar_state_of(before))) @ after)
 
     def mean(self, states: FloatArray, weights: FloatArray) -> FloatArray:
@@ -179,6 +272,7 @@ class Spatial:
 
     def poses(self, states: FloatArray) -> FloatArray:
         """``world_from_body`` ``(..., 4, 4)`` of positions and rotation vectors."""
+        states = checked_array(states, "states", (..., self.dimension), finite=False)
         rotation = scipy.spatial.transform.Rotation.from_rotvec(
             states[..., 3:].reshape(-1, 3)
         ).as_matrix()
@@ -186,6 +280,7 @@ class Spatial:
 
     def states(self, poses: FloatArray) -> FloatArray:
         """Positions and rotation vectors ``(..., 6)`` of poses."""
+        poses = checked_poses(poses, "poses", (..., 4, 4))
         rotation = scipy.spatial.transform.Rotation.from_matrix(
             poses[..., :3, :3].reshape(-1, 3, 3)
         ).as_rotvec()
@@ -214,6 +309,7 @@ class Spatial:
 
     def increment(self, before: FloatArray, after: FloatArray) -> FloatArray:
         """The motion ``(6,)`` between two poses, in the axes of the first."""
+        before, after = _checked_poses(before), _checked_poses(after)
         return self.states(inverse(before) @ after)
 
     def mean(self, states: FloatArray, weights: FloatArray) -> FloatArray:
@@ -281,7 +377,7 @@ def state_space_named(name: str) -> StateSpace:
     for space in (PLANAR, SPATIAL):
         if space.name == name:
             return space
-    raise OptionError(f"state space {name!r} is none of {PLANAR.name}, {SPATIAL.name}")
+    raise OptionError(f"state space {quoted(name)} is none of {PLANAR.name}, {SPATIAL.name}")
 
 
 def state_space_of_dimension(dimension: int) -> StateSpace:
@@ -311,6 +407,11 @@ def grid_cells(
     # Moved by nothing, so that angles are wrapped: a whole revolution is no other cell.
     canonical = space.moved(states, np.zeros(space.dimension))
     return np.asarray(np.floor(canonical / sizes), dtype=np.int64)
+
+
+def _checked_poses(value: FloatArray) -> FloatArray:
+    """A pose ``(4, 4)``; whether it is rigid is not looked at."""
+    return checked_array(value, "a pose", (4, 4), finite=False)
 
 
 def _rotations(states: FloatArray) -> "Rotation":

@@ -16,9 +16,10 @@ from typing import Any
 
 import numpy as np
 
+from pipelines.artifacts.arguments import checked_choice, checked_instance
 from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.atomic import check_output, write_text
-from pipelines.artifacts.errors import OptionError, StageError
+from pipelines.artifacts.errors import StageError
 from pipelines.geometry.pose import quaternion_of
 from pipelines.geometry.trajectory import Trajectory, format_tum
 from pipelines.localize.run import FrameRecord, Run, load_run
@@ -91,21 +92,35 @@ def export_trajectory(run: Run, format_name: str, estimate: str | None = None) -
 
     Args:
         run: the run.
-        format_name: a key of ``FORMATS``.
-        estimate: name of the estimate; None for the run's default.
+        format_name: ``tum`` (Sturm et al. 2012), ``kitti`` (Geiger et al. 2012), ``euroc`` (Burri
+            et al. 2016), ``csv`` or ``json``.
+        estimate: which estimate; None for the run's default.
+
+    Returns:
+        Poses world_from_base, metres; their axes are those of REP-103.
 
     Raises:
         OptionError: an unknown format, or the run has no estimate of this name.
         StageError: a frame without an estimate in a format that has no times.
     """
-    if format_name not in FORMATS:
-        raise OptionError(f"unknown format {format_name!r}; known are {', '.join(FORMATS)}")
+    checked_instance(run, "the run", Run)
+    checked_choice(format_name, "format", FORMATS)
     name = run.default_estimate if estimate is None else estimate
+    checked_instance(name, "estimate", str)
     return FORMATS[format_name](run, name)
 
 
 def estimated_trajectory(run: Run, estimate: str | None = None) -> Trajectory:
-    """The estimated poses world_from_base; frames without an estimate are left out."""
+    """The estimated poses world_from_base; frames without an estimate are left out.
+
+    Args:
+        run: the run.
+        estimate: which estimate; None for the run's default.
+
+    Raises:
+        OptionError: the run has no estimate of this name.
+    """
+    checked_instance(run, "the run", Run)
     states = run.estimated_states(estimate)
     frames = _estimated_frames(states)
     return Trajectory(run.timestamps[frames], run.space.poses(states[frames]))

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray
-from pipelines.artifacts.errors import StageError
+from pipelines.artifacts.errors import StageError, reason_of
 from pipelines.geometry.camera import Camera
 from pipelines.geometry.pose import inverse
 from pipelines.reconstruct.colmap_model import ColmapModel
@@ -119,7 +119,9 @@ def read_findings(database: Path, camera: Camera | None, size: tuple[int, int]) 
                 ).fetchall()
             )
     except sqlite3.Error as error:
-        raise StageError(f"the database of structure from motion is unreadable: {error}") from error
+        raise StageError(
+            f"the database of structure from motion is unreadable: {reason_of(error)}"
+        ) from error
     verified = sum(kinds.get(kind, 0) for kind in USABLE_PAIRS)
     share = rotation_only_share(database, camera, size) if verified else 0.0
     return DatabaseFindings(features, verified, share)

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray, ImageArray, IntArray
-from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.artifacts.errors import InputError, OptionError, quoted
 from pipelines.artifacts.file_content import read_file
 from pipelines.geometry.camera import CAMERA_MODELS, Camera
 from pipelines.geometry.pose import pose_from_quaternion, quaternion_of
@@ -152,7 +152,8 @@ class _Cursor:
         try:
             return raw.decode("utf-8")
         except UnicodeDecodeError as error:
-            raise InputError(self.path, f"holds a name that is not UTF-8: {raw!r}") from error
+            shown = quoted(raw.decode("latin-1"))
+            raise InputError(self.path, f"holds a name that is not UTF-8: {shown}") from error
 
     def finish(self) -> None:
         if self.position != len(self.data):
@@ -226,9 +227,9 @@ def _read_images(path: Path, cameras: dict[int, Camera]) -> tuple[ModelImage, ..
         if identifier in images:
             raise InputError(path, f"image {identifier} is there twice")
         if camera not in cameras:
-            raise InputError(path, f"image {name!r} was taken with camera {camera}, unknown")
+            raise InputError(path, f"image {quoted(name)} was taken with camera {camera}, unknown")
         if not np.all(np.isfinite(keypoints["pixel"])):
-            raise InputError(path, f"image {name!r} has keypoints that are not finite")
+            raise InputError(path, f"image {quoted(name)} has keypoints that are not finite")
         images[identifier] = ModelImage(
             identifier,
             name,
@@ -249,10 +250,10 @@ def image_pose(path: Path, name: str, values: Sequence[float]) -> FloatArray:
     """
     quaternion_wxyz, translation = np.array(values[:4]), np.array(values[4:])
     if not (np.all(np.isfinite(quaternion_wxyz)) and np.all(np.isfinite(translation))):
-        raise InputError(path, f"image {name!r} has a pose that is not finite")
+        raise InputError(path, f"image {quoted(name)} has a pose that is not finite")
     length = float(np.linalg.norm(quaternion_wxyz))
     if abs(length - 1.0) > 1e-3:
-        raise InputError(path, f"image {name!r} has a quaternion of length {length:.4g}")
+        raise InputError(path, f"image {quoted(name)} has a quaternion of length {length:.4g}")
     return pose_from_quaternion(translation, np.roll(quaternion_wxyz / length, -1))
 
 
@@ -303,9 +304,13 @@ def check_tracks(
     for image in images:
         own = tracks[tracks[:, 1] == image.identifier]
         if len(own) and int(own[:, 2].max()) >= len(image.keypoints):
-            raise InputError(path, f"a track names a keypoint that image {image.name!r} lacks")
+            raise InputError(
+                path, f"a track names a keypoint that image {quoted(image.name)} lacks"
+            )
         if not np.array_equal(image.points[own[:, 2]], identifiers[own[:, 0]]):
-            raise InputError(path, f"its tracks contradict the keypoints of image {image.name!r}")
+            raise InputError(
+                path, f"its tracks contradict the keypoints of image {quoted(image.name)}"
+            )
 
 
 def write_model(folder: Path, model: ColmapModel) -> None:

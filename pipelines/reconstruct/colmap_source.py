@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipelines.artifacts.errors import InputError
+from pipelines.artifacts.errors import InputError, quoted
 from pipelines.artifacts.file_content import is_file
 from pipelines.dataset.dataset import natural_key
 from pipelines.dataset.importers.recognition import find_colmap_model
@@ -58,7 +58,7 @@ def read_colmap(source: Path, settings: ImportSettings) -> ColmapSource:
         raise InputError(folder, "holds no registered image")
     double = first_duplicate([image.name for image in images])
     if double is not None:
-        raise InputError(folder, f"holds the image {double!r} twice")
+        raise InputError(folder, f"holds the image {quoted(double)} twice")
     names = [name_below(IMAGE_FOLDER, image.name, folder) for image in images]
     photos = _photo_folder(source, folder, settings.images)
     files = [photos / image.name for image in images]

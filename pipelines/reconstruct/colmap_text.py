@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray, IntArray
-from pipelines.artifacts.errors import InputError
+from pipelines.artifacts.errors import InputError, quoted, reason_of
 from pipelines.artifacts.file_content import is_file, read_text_file
 from pipelines.geometry.camera import CAMERA_MODELS, Camera
 from pipelines.reconstruct.colmap_model import (
@@ -60,7 +60,7 @@ class _Line:
         try:
             value = int(self.values[index])
         except ValueError:
-            raise self.error(f"{self.values[index][:40]!r} is not a whole number") from None
+            raise self.error(f"{quoted(self.values[index])} is not a whole number") from None
         if not 0 <= value < MAX_NUMBER:
             raise self.error(f"{value} is out of range")
         return value
@@ -69,7 +69,7 @@ class _Line:
         try:
             values = np.array(self.values[chosen], dtype=np.float64)
         except ValueError as error:
-            raise self.error(f"not a number ({error})") from None
+            raise self.error(f"not a number ({reason_of(error)})") from None
         if not np.all(np.isfinite(values)):
             raise self.error("a value is not finite")
         return values
@@ -78,7 +78,7 @@ class _Line:
         try:
             return np.array(self.values[chosen], dtype=np.int64)
         except (ValueError, OverflowError) as error:
-            raise self.error(f"not a whole number ({error})") from None
+            raise self.error(f"not a whole number ({reason_of(error)})") from None
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
@@ -100,7 +100,7 @@ def _read_cameras(path: Path) -> dict[int, Camera]:
             known = ", ".join(CAMERA_MODELS)
             raise InputError(
                 path,
-                f"camera {identifier} has model {model[:40]}, which is not supported",
+                f"camera {identifier} has model {quoted(model)}, which is not supported",
                 f"known: {known}",
             )
         if identifier in cameras:
@@ -134,7 +134,7 @@ def _image(path: Path, header: _Line, points: _Line, cameras: dict[int, Camera])
     header.at_least(10)
     identifier, camera, name = header.whole(0), header.whole(8), header.values[9]
     if camera not in cameras:
-        raise InputError(path, f"image {name!r} was taken with camera {camera}, unknown")
+        raise InputError(path, f"image {quoted(name)} was taken with camera {camera}, unknown")
     if len(points.values) % 3:
         raise points.error(f"{len(points.values)} values are not x, y, point for each keypoint")
     columns = points.numbers(slice(0, None, 3)), points.numbers(slice(1, None, 3))

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray
-from pipelines.artifacts.errors import StageError
+from pipelines.artifacts.errors import StageError, reason_of
 from pipelines.geometry.camera import Camera
 from pipelines.reconstruct.colmap_model import PIXEL_CENTRE_SHIFT
 
@@ -51,7 +51,9 @@ def rotation_only_share(database: Path, camera: Camera | None, size: tuple[int, 
             query = "SELECT pair_id, data FROM two_view_geometries WHERE rows > 0 ORDER BY pair_id"
             pairs = connection.execute(query).fetchall()
     except sqlite3.Error as error:
-        raise StageError(f"the database of structure from motion is unreadable: {error}") from error
+        raise StageError(
+            f"the database of structure from motion is unreadable: {reason_of(error)}"
+        ) from error
     chosen = pairs[:: -(-len(pairs) // MAX_PAIRS)] if pairs else []
     explained = 0
     for pair, data in chosen:

@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.artifacts.arrays import FloatArray, ImageArray, IntArray
+from pipelines.artifacts.arguments import PathLike, checked_path
+from pipelines.artifacts.arrays import FloatArray, ImageArray, IntArray, checked_array
 from pipelines.artifacts.atomic import atomic_folder
-from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.artifacts.errors import InputError, OptionError, quoted
 from pipelines.artifacts.file_content import read_file
 from pipelines.artifacts.json_fields import JsonFields, read_json_object
 from pipelines.artifacts.provenance import sha256_of_bytes
@@ -104,24 +105,26 @@ class Reconstruction:
         images, points, observations = map(len, (self.image_names, self.points, self.observations))
         if images == 0:
             raise OptionError("a reconstruction needs at least one image with a pose")
-        expected: list[tuple[str, tuple[int, ...], tuple[int, ...]]] = [
-            ("image_hashes", (len(self.image_hashes),), (images,)),
-            ("timestamps", self.timestamps.shape, (images,)),
-            ("camera_index", self.camera_index.shape, (images,)),
-            ("world_from_camera", self.world_from_camera.shape, (images, 4, 4)),
-            ("points", self.points.shape, (points, 3)),
-            ("observations", self.observations.shape, (observations, 2)),
-            ("observed_pixels", self.observed_pixels.shape, (observations, 2)),
-        ]
+        if len(self.image_hashes) != images:
+            raise OptionError(f"{images} images with {len(self.image_hashes)} hashes")
+        expected: dict[str, tuple[int, ...]] = {
+            "timestamps": (images,),
+            "camera_index": (images,),
+            "world_from_camera": (images, 4, 4),
+            "points": (points, 3),
+            "observations": (observations, 2),
+            "observed_pixels": (observations, 2),
+        }
         if len(self.point_colors):
-            expected.append(("point_colors", self.point_colors.shape, (points, 3)))
+            expected["point_colors"] = (points, 3)
         if len(self.point_errors):
-            expected.append(("point_errors", self.point_errors.shape, (points,)))
-        for name, shape, wanted in expected:
-            if shape != wanted:
-                raise OptionError(f"{name} has shape {shape}, expected {wanted}")
+            expected["point_errors"] = (points,)
+        for name, shape in expected.items():
+            checked_array(getattr(self, name), name, shape, finite=False)
         if self.method not in METHODS or self.scale_source not in SCALE_SOURCES:
-            raise OptionError(f"unknown method {self.method!r} or scale {self.scale_source!r}")
+            raise OptionError(
+                f"unknown method {quoted(self.method)} or scale {quoted(self.scale_source)}"
+            )
 
 
 def with_images(reconstruction: Reconstruction, kept: IntArray) -> Reconstruction:
@@ -252,13 +255,18 @@ def _colmap_model_of(reconstruction: Reconstruction) -> ColmapModel:
     return ColmapModel(cameras, tuple(images), points)
 
 
-def load_reconstruction(path: Path) -> Reconstruction:
-    """Reads the folder; nothing in it is believed before it is checked.
+def load_reconstruction(path: PathLike) -> Reconstruction:
+    """Reads a reconstruction; nothing in it is believed before it is checked.
+
+    Args:
+        path: folder made by ``reconstruct``.
 
     Raises:
+        OptionError: ``path`` is no path.
         InputError: the folder is missing or is no reconstruction, a file is truncated, damaged or
             of the wrong types, or no image has a pose; the file is named.
     """
+    path = checked_path(path, "the reconstruction's path")
     if not path.is_dir():
         reason = "is not a folder" if path.exists() else "does not exist"
         raise InputError(path, reason, "make a reconstruction with lfnav reconstruct")
@@ -368,7 +376,7 @@ def _checked_name(entry: JsonFields) -> str:
     name = entry.get("name", str)
     parts = PurePosixPath(name).parts
     if not parts or PurePosixPath(name).is_absolute() or ".." in parts or "\0" in name:
-        raise InputError(entry.path, f"{entry.prefix}name {name[:60]!r} leads out of the folder")
+        raise InputError(entry.path, f"{entry.prefix}name {quoted(name)} leads out of the folder")
     return name
 
 
@@ -391,7 +399,7 @@ def _mount(fields: JsonFields) -> FloatArray | None:
         mount = np.array(value, dtype=np.float64)
     except (ValueError, TypeError, OverflowError):
         mount = np.empty(0)
-    if mount.shape != (4, 4) or not are_rigid(mount, tolerance=1e-6):
+    if mount.shape != (4, 4) or not np.all(are_rigid(mount, tolerance=1e-6)):
         raise InputError(fields.path, "base_from_camera is not a rigid 4x4 transform")
     return mount
 

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pipelines.artifacts.errors import OptionError
+from pipelines.artifacts.arguments import check_fields
+from pipelines.artifacts.errors import OptionError, quoted
 from pipelines.reconstruct.reconstruction import METHODS
 
 MATCHERS = ("auto", "sequential", "exhaustive")
@@ -39,10 +40,15 @@ class ReconstructSettings:
     planar: bool = False
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if self.method not in METHODS:
-            raise OptionError(f"unknown method {self.method!r}; known are {', '.join(METHODS)}")
+            raise OptionError(
+                f"unknown method {quoted(self.method)}; known are {', '.join(METHODS)}"
+            )
         if self.matcher not in MATCHERS:
-            raise OptionError(f"unknown matcher {self.matcher!r}; known are {', '.join(MATCHERS)}")
+            raise OptionError(
+                f"unknown matcher {quoted(self.matcher)}; known are {', '.join(MATCHERS)}"
+            )
         if self.method == "poses" and self.poses is None:
             raise OptionError("--method poses needs --poses FILE")
         if self.method != "poses" and self.poses is not None:

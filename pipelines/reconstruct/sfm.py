@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from pipelines.artifacts.errors import InputError, StageError
+from pipelines.artifacts.errors import InputError, StageError, quoted
 from pipelines.artifacts.processes import WorkerProcess, worker_command
 from pipelines.artifacts.stages import Progress
 from pipelines.dataset.dataset import Dataset
@@ -281,7 +281,7 @@ class _Worker:
         """
         event = self._process.read(timeout)
         if "phase" not in event:
-            raise StageError(f"the worker for structure from motion said {event!r}")
+            raise StageError(f"the worker for structure from motion said {quoted(event)}")
         if event["phase"] != "image":
             self.last_event = event
         return event

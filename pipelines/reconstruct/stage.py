@@ -3,16 +3,16 @@
 import logging
 import math
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from pipelines.artifacts.arguments import PathLike, checked_instance, checked_path
 from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.atomic import check_output
 from pipelines.artifacts.errors import InputError, OptionError, StageError
 from pipelines.artifacts.provenance import provenance, sha256_of_bytes, sha256_of_file
-from pipelines.artifacts.stages import Progress
+from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.dataset.dataset import ODOMETRY_FILE, Dataset, load_dataset
 from pipelines.dataset.images import decode_image
 from pipelines.geometry.planarity import check_planar, check_quaternion_order
@@ -41,26 +41,36 @@ _log = logging.getLogger(__name__)
 
 
 def reconstruct(
-    dataset: Path,
-    output: Path,
+    dataset: PathLike,
+    output: PathLike,
     settings: ReconstructSettings,
     *,
-    overwrite: bool,
-    progress: Progress,
+    overwrite: bool = False,
+    progress: Progress = no_progress,
 ) -> ReconstructionSummary:
     """Finds camera poses of the images of a data set and writes the reconstruction.
 
+    Poses come from structure from motion (COLMAP: Schonberger and Frahm 2016), from odometry, or
+    from a file. The world is metric, its z points up (REP-103); cameras have the axes of OpenCV.
+
     Args:
         dataset: folder of a data set.
-        output: folder to be written, as a whole or not at all.
+        output: folder to be written, as a whole or not at all; ``load_reconstruction`` reads it.
         settings: the method and its options.
         overwrite: whether an older reconstruction there may be replaced.
         progress: told how far the work is.
 
+    Returns:
+        What a person or a program wants to know of it: ``table()``, ``to_dict()``.
+
     Raises:
         InputError: the data set lacks what the method needs, or ``output`` cannot be written.
         StageError: structure from motion found nothing that can be trusted.
+        OptionError: settings that do not go with the data set, or an argument of another type.
     """
+    dataset = checked_path(dataset, "the data set's path")
+    output = checked_path(output, "the reconstruction's path")
+    checked_instance(settings, "settings", ReconstructSettings)
     check_output(output, overwrite, DESCRIPTION_NAME)
     data = load_dataset(dataset)
     if settings.planar and (data.odometry is None or data.base_from_camera is None):

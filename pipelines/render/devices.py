@@ -7,7 +7,7 @@ import logging
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
-from pipelines.artifacts.errors import OptionError
+from pipelines.artifacts.errors import OptionError, reason_of
 
 if TYPE_CHECKING:
     from pipelines.render.gpu_device import Gpu
@@ -77,7 +77,7 @@ def _is_installed(device: Device) -> bool:
     except (ImportError, OSError, RuntimeError) as error:
         if device is Device.GPU:
             raise OptionError(
-                f"device gpu: wgpu is there but does not load ({error}); "
+                f"device gpu: wgpu is there but does not load ({reason_of(error)}); "
                 f"reinstall it with {INSTALL}, or choose device cpu"
             ) from error
         logger.warning("wgpu is there but does not load (%s); rendering on the CPU", error)

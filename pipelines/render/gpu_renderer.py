@@ -15,7 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipelines.artifacts.arrays import BoolArray, Float32Array, FloatArray, ImageArray
+from pipelines.artifacts.arguments import checked_instance
+from pipelines.artifacts.arrays import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    ImageArray,
+    checked_array,
+)
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
 from pipelines.lightfield.views import Views
@@ -42,7 +49,7 @@ from pipelines.render.gpu_work import (
     tile_bytes,
     tiles_of,
 )
-from pipelines.render.renderer import Renderer, Rendering
+from pipelines.render.renderer import Renderer, Rendering, checked_view
 from pipelines.render.surface import Quality, grid_spacing
 
 POSE_BYTES = 48
@@ -107,7 +114,8 @@ class GpuRenderer(Renderer):
             world_from_camera: ``(4, 4)``.
             intrinsics: of the virtual camera; they also set the size of the image.
         """
-        images, covered = self.render_many(world_from_camera[None], intrinsics)
+        pose = checked_view(world_from_camera, intrinsics)
+        images, covered = self.render_many(pose[None], intrinsics)
         return Rendering(np.rint(images[0]).astype(np.uint8), covered[0])
 
     def render_many(
@@ -123,6 +131,7 @@ class GpuRenderer(Renderer):
             Images ``(M, H, W, 3)`` RGB, 0 to 255, zero where uncovered, and covered pixels
             ``(M, H, W)``.
         """
+        world_from_camera = checked_view(world_from_camera, intrinsics, (None, 4, 4))
         sizes = self._sizes(intrinsics, has_images=True)
         shape = (len(world_from_camera), intrinsics.height, intrinsics.width)
         images = np.empty((*shape, 3), dtype=np.float32)
@@ -173,7 +182,8 @@ class GpuRenderer(Renderer):
             StageError: the GPU fails.
         """
         check_query(query, intrinsics)
-        table = evidence_table(cost, evidence)
+        table = evidence_table(checked_instance(cost, "cost", Cost), evidence)
+        world_from_camera = checked_array(world_from_camera, "world_from_camera", (None, 4, 4))
         sizes = self._sizes(intrinsics, needs_two_passes(cost, fit_gain))
         photo = photo_of(query)
         if evidence is not None:

@@ -9,16 +9,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipelines.artifacts.arguments import checked_index, checked_instance, checked_number
 from pipelines.artifacts.arrays import (
     BoolArray,
     Float32Array,
     FloatArray,
     ImageArray,
+    Shape,
+    checked_array,
 )
 from pipelines.artifacts.errors import OptionError
 from pipelines.artifacts.processes import processor_count
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
+from pipelines.geometry.pose import checked_poses
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.views import Views, views_of_scene, without_depth, without_view
 from pipelines.render.blending import Blending
@@ -31,6 +35,7 @@ from pipelines.render.surface import Quality, median_inverse_depth
 # enough to share work evenly between threads. Where images are kept it is a number of pixels.
 POSES_A_CALL = 256
 PIXELS_A_CALL = 80_000
+MAX_THREADS = 4096
 
 
 @dataclass(frozen=True)
@@ -78,11 +83,15 @@ class RenderingWithSurface:
 class Renderer:
     """Renders virtual views of a light field and scores them against camera images.
 
+    As Heigl, Denzler, Niemann (2001), section 2, views are rendered directly from the photos over
+    the scene's surface; which photos a pixel is blended from, ``Blending`` says. Cameras have the
+    axes of OpenCV (x right, y down, z forward), worlds those of REP-103.
+
     Works on all processors of the process's affinity unless ``threads`` says otherwise; results do
     not depend on the number of threads.
 
     Args:
-        views: the photos.
+        views: the photos, as ``views_of_scene`` prepares them; from a scene: ``of_scene``.
         plane: the scene's surface where ``quality`` is ``PLANE``.
         blending: the rule that chooses and weights the views.
         quality: how finely the surface follows the views' depth maps.
@@ -91,7 +100,8 @@ class Renderer:
             computed.
 
     Raises:
-        OptionError: no threads, or a quality that needs depth maps where there are none.
+        OptionError: no threads, or a quality that needs depth maps where there are none; an
+            argument of another type.
     """
 
     def __init__(
@@ -103,8 +113,12 @@ class Renderer:
         threads: int | None = None,
         typical_inverse_depth: float | None = None,
     ) -> None:
-        if threads is not None and threads < 1:
-            raise OptionError(f"{threads} threads cannot do any work; give at least 1")
+        checked_instance(views, "views", Views)
+        checked_instance(plane, "plane", Plane)
+        checked_instance(blending, "blending", Blending)
+        checked_instance(quality, "quality", Quality)
+        if threads is not None:
+            checked_number(threads, "number of threads", 1, MAX_THREADS, whole=True)
         if quality is not Quality.PLANE and not views.has_depth:
             raise OptionError(
                 f"quality {quality.name.lower()} needs depth maps, and the scene has none; "
@@ -147,7 +161,7 @@ class Renderer:
 
         Args:
             scene: the light field.
-            largest_side: photos are area-averaged to so many pixels at most.
+            largest_side: photos are area-averaged to so many pixels at most; None: as recorded.
             blending: the rule that chooses and weights the views.
             quality: how finely the surface follows the views' depth maps.
             threads: how many work at the same time; None: one a processor.
@@ -155,14 +169,26 @@ class Renderer:
                 they are rendered in colours.
 
         Raises:
-            OptionError: no threads, or a quality that needs depth maps where there are none.
+            OptionError: no threads, a side without pixels, or a quality that needs depth maps where
+                there are none; an argument of another type.
+            InputError: a photo of the scene cannot be decoded.
         """
+        checked_instance(scene, "the scene", Scene)
         if views is None:
             views = views_of_scene(scene, largest_side)
         return cls(views, scene.plane, blending, quality, threads)
 
     def without_view(self, index: int, threads: int | None = None) -> "Renderer":
-        """A renderer of all other photos, on the CPU; ``threads``: None: as many as here."""
+        """A renderer of all other photos, on the CPU.
+
+        Args:
+            index: of the view that is left out, from 0.
+            threads: how many work at the same time; None: as many as here.
+
+        Raises:
+            OptionError: no such view.
+        """
+        index = checked_index(index, "views", len(self.views))
         return Renderer(
             without_view(self.views, index),
             self.plane,
@@ -177,10 +203,14 @@ class Renderer:
         """Renders one virtual view.
 
         Args:
-            world_from_camera: ``(4, 4)``.
+            world_from_camera: ``(4, 4)`` where the virtual camera is, metres.
             intrinsics: of the virtual camera; they also set the size of the image.
+
+        Raises:
+            OptionError: a pose that is no rigid transform, or intrinsics of another type.
         """
-        images, _ = self._draw(world_from_camera[None], intrinsics)
+        pose = checked_view(world_from_camera, intrinsics)
+        images, _ = self._draw(pose[None], intrinsics)
         return Rendering(np.rint(images[0, ..., :3]).astype(np.uint8), images[0, ..., 3] > 0.0)
 
     def render_with_surface(
@@ -189,10 +219,14 @@ class Renderer:
         """Renders one virtual view together with the surface that it was rendered over.
 
         Args:
-            world_from_camera: ``(4, 4)``.
-            intrinsics: of the virtual camera.
+            world_from_camera: ``(4, 4)`` where the virtual camera is, metres.
+            intrinsics: of the virtual camera; they also set the size of the image.
+
+        Raises:
+            OptionError: a pose that is no rigid transform, or intrinsics of another type.
         """
-        images, surfaces = self._draw(world_from_camera[None], intrinsics)
+        pose = checked_view(world_from_camera, intrinsics)
+        images, surfaces = self._draw(pose[None], intrinsics)
         return RenderingWithSurface(images[0], surfaces[0])
 
     def render_many(
@@ -201,14 +235,17 @@ class Renderer:
         """Renders many virtual views.
 
         Args:
-            world_from_camera: ``(M, 4, 4)``.
-            intrinsics: of the virtual camera.
+            world_from_camera: ``(M, 4, 4)`` where the virtual cameras are, metres.
+            intrinsics: of all virtual cameras; they also set the size of the images.
 
         Returns:
             Images ``(M, H, W, 3)`` RGB, 0 to 255, zero where uncovered, and covered pixels
             ``(M, H, W)``.
+
+        Raises:
+            OptionError: a pose that is no rigid transform, or intrinsics of another type.
         """
-        poses = np.ascontiguousarray(world_from_camera, dtype=np.float64)
+        poses = np.ascontiguousarray(checked_view(world_from_camera, intrinsics, (None, 4, 4)))
         shape = (len(poses), intrinsics.height, intrinsics.width)
         images = np.empty((*shape, 3), dtype=np.float32)
         covered = np.empty(shape, dtype=np.bool_)
@@ -233,9 +270,10 @@ class Renderer:
         """Compares the views rendered at many poses with one camera image.
 
         Args:
-            world_from_camera: ``(M, 4, 4)``.
+            world_from_camera: ``(M, 4, 4)`` where the camera may have been, metres.
             intrinsics: of the camera image.
-            query: ``(H, W, 3)`` camera image, RGB, undistorted; NaN where it is not to be compared.
+            query: ``(H, W, 3)`` camera image, RGB, 0 to 255, undistorted; NaN where it is not to be
+                compared.
             cost: the kind of comparison.
             fit_gain: whether a brightness factor is fitted for each pose.
             evidence: of the pixels' differences; needed for EVIDENCE and for no other cost.
@@ -244,11 +282,17 @@ class Renderer:
             ``(M,)`` costs, in [0, 1] but for EVIDENCE.
 
         Raises:
-            OptionError: another size than the intrinsics', EVIDENCE without a table, or another
-                cost with one.
+            OptionError: poses that are not finite numbers of this shape, an image of another size
+                than its intrinsics, EVIDENCE without a table, or another cost with one.
         """
+        checked_instance(cost, "cost", Cost)
+        checked_instance(fit_gain, "fit_gain", bool)
+        checked_instance(intrinsics, "intrinsics", Intrinsics)
+        checked_instance(query, "camera image", np.ndarray)
         prepared = prepare_query(query, intrinsics, cost, fit_gain, evidence)
-        poses = np.ascontiguousarray(world_from_camera, dtype=np.float64)
+        # Of poses by the hundred, that they are rotations is left to whoever made them.
+        poses = checked_array(world_from_camera, "world_from_camera", (None, 4, 4))
+        poses = np.ascontiguousarray(poses)
         costs = np.empty(len(poses))
         surfaces = self._native.surfaces(poses, intrinsics)
 
@@ -295,3 +339,17 @@ class Renderer:
         drain()
         for helper in helpers:
             helper.result()
+
+
+def checked_view(
+    world_from_camera: FloatArray,
+    intrinsics: Intrinsics,
+    shape: Shape = (4, 4),
+) -> FloatArray:
+    """Poses of virtual cameras, as ``shape`` says, that are rigid transforms.
+
+    Raises:
+        OptionError: others, or intrinsics that are none.
+    """
+    checked_instance(intrinsics, "intrinsics", Intrinsics)
+    return checked_poses(world_from_camera, "world_from_camera", shape)

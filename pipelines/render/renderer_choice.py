@@ -2,6 +2,7 @@
 
 import logging
 
+from pipelines.artifacts.arguments import checked_instance
 from pipelines.artifacts.errors import StageError
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.views import Views, views_of_scene
@@ -26,7 +27,7 @@ def renderer_of_scene(
 
     Args:
         scene: the light field.
-        largest_side: photos are area-averaged to so many pixels at most.
+        largest_side: photos are area-averaged to so many pixels at most; None: as recorded.
         blending: the rule that chooses and weights the views.
         quality: how finely the surface follows the views' depth maps.
         threads: of the work on the CPU; None: one a processor.
@@ -36,11 +37,13 @@ def renderer_of_scene(
             are rendered in colours.
 
     Raises:
-        OptionError: no threads, a quality that needs depth maps where there are none, or a device
-            that does not exist.
+        OptionError: no threads, a side without pixels, a quality that needs depth maps where there
+            are none, or a device that does not exist; an argument of another type.
+        InputError: a photo of the scene cannot be decoded.
         StageError: the GPU cannot do it, and ``GPU`` was asked for.
     """
-    gpu = chosen_gpu(device)
+    checked_instance(scene, "the scene", Scene)
+    gpu = chosen_gpu(checked_instance(device, "device", Device))
     if views is None:
         views = views_of_scene(scene, largest_side)
     if gpu is not None:

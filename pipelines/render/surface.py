@@ -11,8 +11,8 @@ from enum import IntEnum
 
 import numpy as np
 
+from pipelines.artifacts.arguments import checked_choice, checked_instance
 from pipelines.artifacts.arrays import FloatArray, IntArray
-from pipelines.artifacts.errors import OptionError
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.pose import inverse
 from pipelines.lightfield.views import ViewArrays, Views
@@ -35,9 +35,8 @@ def quality_named(name: str | None, has_depth: bool, preferred: Quality) -> Qual
     """
     if name is None:
         return preferred if has_depth else Quality.PLANE
-    if name.upper() not in Quality.__members__:
-        known = ", ".join(quality.name.lower() for quality in Quality)
-        raise OptionError(f"quality {name!r} is none of {known}")
+    checked_instance(name, "quality", str)
+    checked_choice(name.lower(), "quality", (quality.name.lower() for quality in Quality))
     return Quality[name.upper()]
 
 

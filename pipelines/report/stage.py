@@ -4,13 +4,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from pipelines.artifacts.arguments import PathLike, check_fields, checked_instance, checked_path
 from pipelines.artifacts.atomic import atomic_folder, check_output
 from pipelines.artifacts.errors import InputError, LfnavError, OptionError
 from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.lightfield.obstacle_points import obstacle_points
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_scene, scene_provenance
-from pipelines.localize.run import Run, check_run_belongs_to, load_run, locate_scene
+from pipelines.localize.run import Run, load_run
+from pipelines.localize.scene_of_run import check_run_belongs_to, locate_scene
 from pipelines.render.renderer import Renderer
 from pipelines.render.surface import Quality, quality_named
 from pipelines.report.animation import animation
@@ -38,11 +40,17 @@ class ReportSettings:
         frames: numbers of the frames to show, from 0; None: the first, the middle and the last.
         estimate: name of the run's estimate to show; None: the run's default.
         scene: path of the scene file; None: the path in the run.
+
+    Raises:
+        OptionError: a value of another type.
     """
 
     frames: tuple[int, ...] | None = None
     estimate: str | None = None
     scene: Path | None = None
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 @dataclass(frozen=True)
@@ -82,29 +90,37 @@ class ReportSummary:
 
 
 def report(
-    run_path: Path,
-    output: Path,
-    settings: ReportSettings,
+    run_path: PathLike,
+    output: PathLike,
+    settings: ReportSettings | None = None,
     *,
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> ReportSummary:
-    """Writes ``report.html`` and ``figures/`` about a run into the folder ``output``.
+    """Writes a page and figures about a run into a folder.
 
     The same files give the same report, byte for byte.
 
     Args:
-        run_path: run file.
-        output: folder to write; it appears whole or not at all.
-        settings: what to show.
-        overwrite: whether an existing report may be replaced.
-        progress: wraps loops to report progress.
+        run_path: a ``run.h5``.
+        output: folder to be written: ``report.html`` and ``figures/``.
+        settings: what to show; None: the defaults.
+        overwrite: whether an older report there may be replaced.
+        progress: told how far the work is.
+
+    Returns:
+        What was written: ``table()``, ``to_dict()``.
 
     Raises:
         InputError: a file that cannot be used, a scene that the run does not belong to, or an
             output that exists.
-        OptionError: a frame or an estimate that the run does not have.
+        OptionError: a frame or an estimate that the run does not have, or an argument of another
+            type.
     """
+    run_path = checked_path(run_path, "the run's path")
+    output = checked_path(output, "the report's path")
+    settings = ReportSettings() if settings is None else settings
+    checked_instance(settings, "settings", ReportSettings)
     check_output(output, overwrite, PAGE_NAME)
     run = load_run(run_path)
     scene_path = _scene_path(run, run_path, settings.scene)

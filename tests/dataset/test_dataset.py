@@ -260,12 +260,12 @@ def test_a_folder_without_permission(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "reason"),
     [
-        ("2.0 rgb/missing.png", r"line 5: rgb/missing\.png is not there"),
-        ("2.0 " + "x" * 300, "line 5: x+ is not there"),
-        ("2.0 .", r"line 5: \. is not there"),
-        ("2.0 ../secret.png", r"line 5: \.\./secret\.png leads out of the data set's folder"),
+        ("2.0 rgb/missing.png", r"line 5: 'rgb/missing\.png' is not there"),
+        ("2.0 " + "x" * 300, r"line 5: 'x+'\.\.\. is not there"),
+        ("2.0 .", r"line 5: '\.' is not there"),
+        ("2.0 ../secret.png", r"line 5: '\.\./secret\.png' leads out of the data set's folder"),
         ("2.0 rgb/../../secret.png", "line 5: .* leads out"),
-        ("2.0 /etc/passwd", "line 5: /etc/passwd leads out"),
+        ("2.0 /etc/passwd", "line 5: '/etc/passwd' leads out"),
         ("2.0 a\x00b.png", "line 5: .* is not a file name"),
         ("2.0", "line 5: not of the form: timestamp filename"),
         ("two rgb/3.png", "line 5: 'two' is not a timestamp"),
@@ -273,8 +273,8 @@ def test_a_folder_without_permission(folder: Path) -> None:
         ("inf rgb/3.png", "line 5: the timestamp inf is not finite"),
         ("1.5 rgb/3.png", "line 5: time 1.500000 does not come after 1.500000"),
         ("1.0 rgb/3.png", "line 5: time 1.000000 does not come after 1.500000"),
-        ("2.0 rgb/2.png", r"line 5: rgb/2\.png is named a second time"),
-        ("2.0 ./rgb/2.png", r"line 5: rgb/2\.png is named a second time"),
+        ("2.0 rgb/2.png", r"line 5: 'rgb/2\.png' is named a second time"),
+        ("2.0 ./rgb/2.png", r"line 5: 'rgb/2\.png' is named a second time"),
     ],
 )
 def test_a_line_that_is_wrong(folder: Path, line: str, reason: str) -> None:
@@ -414,7 +414,7 @@ def test_times_that_do_not_pair(
         ("20.0, 21.0", "1" + "0" * 400 + ", 21.0", "params: 10+ is not finite"),
         ("20.0, 21.0", "20.0", "takes 4 params .*, got 3"),
         ("20.0, 21.0", '"20.0", 21.0', "params: '20.0' is not a number"),
-        ("20.0, 21.0", "true, 21.0", "params: True is not a number"),
+        ("20.0, 21.0", "true, 21.0", "params: 'True' is not a number"),
         ("[20.0, 21.0, 7.5, 5.5]", "20.0", "params is not a list"),
         ("PINHOLE", "PINHOL", "unknown camera model 'PINHOL'; known are SIMPLE_PINHOLE"),
         ('"PINHOLE"', "5", "model is not a text"),
@@ -428,7 +428,7 @@ def test_times_that_do_not_pair(
         ("z = 1.0", "", r"mount\.z is missing"),
         ("z = 1.0", "z = 1.0\nw = 2", r"unknown key mount\.w"),
         ("z = 1.0", "z = nan", r"mount\.z: nan is not finite"),
-        ("z = 1.0", "z = [1.0]", r"mount\.z: \[1\.0\] is not a number"),
+        ("z = 1.0", "z = [1.0]", r"mount\.z: '\[1\.0\]' is not a number"),
     ],
 )
 def test_a_camera_file_that_is_wrong(folder: Path, old: str, new: str, reason: str) -> None:

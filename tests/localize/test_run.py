@@ -13,11 +13,13 @@ from pipelines.artifacts.errors import InputError, OptionError, StageError
 from pipelines.artifacts.safe_hdf5 import write_json
 from pipelines.localize.run import (
     Run,
-    check_run_belongs_to,
     load_run,
+    save_run,
+)
+from pipelines.localize.scene_of_run import (
+    check_run_belongs_to,
     locate_scene,
     relative_scene_path,
-    save_run,
 )
 from tests.localize_samples import curved_path, frame_record, run_along, spatial_run
 
@@ -285,9 +287,9 @@ def test_frames_of_different_degrees_of_freedom_are_no_run() -> None:
     spatial, planar = spatial_run(2), run_along(curved_path(2))
     with pytest.raises(OptionError, match="degrees of freedom"):
         replace(spatial, frames=(spatial.frames[0], planar.frames[1]), odometry=None)
-    with pytest.raises(OptionError, match="odometry has shape"):
+    with pytest.raises(OptionError, match="odometry of shape"):
         replace(spatial, odometry=np.zeros((2, 3)))
-    with pytest.raises(OptionError, match="estimate mode has shape"):
+    with pytest.raises(OptionError, match="estimate mode of shape"):
         replace(spatial.frames[0], estimates={"mode": np.zeros(3)})
     with pytest.raises(OptionError, match="covariance of refined"):
         replace(spatial.frames[0], refined_covariance=np.eye(3))

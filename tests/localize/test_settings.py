@@ -27,7 +27,7 @@ IMPOSSIBLE: dict[str, tuple[tuple[Any, ...], str]] = {
     "resampling": (("", "wheel"), "resampling"),
     "estimate": (("", "median"), "estimate"),
     "quality": (("", "finest"), "quality"),
-    "particles": ((0, -1, MAX_PARTICLES + 1, NAN), "number of particles"),
+    "particles": ((0, -1, MAX_PARTICLES + 1, NAN), "particles"),
     "start_particles": ((0, -5, MAX_PARTICLES + 1), "number of particles at the start"),
     "start_position_sigma": ((-0.1, NAN, INF), "start position sigma"),
     "start_heading_sigma": ((-0.1, 4.0, NAN, INF), "start heading sigma"),

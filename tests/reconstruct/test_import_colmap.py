@@ -172,7 +172,7 @@ CAMERA = "1 PINHOLE 32 24 40 41 16 12.5"
 @pytest.mark.parametrize(
     ("name", "old", "new", "reason"),
     [
-        ("cameras.txt", "1 PINHOLE", "1 FOV", "model FOV, which is not supported"),
+        ("cameras.txt", "1 PINHOLE", "1 FOV", "model 'FOV', which is not supported"),
         ("cameras.txt", "1 PINHOLE 32", "1 PINHOLE 64", "is 32x24 pixels, its camera 64x24"),
         ("cameras.txt", "1 PINHOLE 32", "1 PINHOLE 9999999", "9999999x24"),
         ("cameras.txt", "1 PINHOLE 32", "1 PINHOLE 0", "not positive"),

@@ -189,7 +189,7 @@ def test_colmap_itself_reads_an_exported_scene_and_import_brings_it_back(tmp_pat
         (("/tmp/a.png", "b.png", "c.png"), "no file name"),
         (("", "b.png", "c.png"), "no file name"),
         (("b.png", "b.png", "c.png"), "same name"),
-        (("b.png", "b.png/c", "c.png"), "b.png, which is also a folder"),
+        (("b.png", "b.png/c", "c.png"), "'b.png', which is also a folder"),
     ],
 )
 def test_image_names_of_a_strangers_scene_stay_in_the_folder(

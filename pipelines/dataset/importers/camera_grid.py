@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray
-from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.artifacts.errors import InputError, OptionError, quoted
 from pipelines.dataset.dataset import images_in
 from pipelines.dataset.images import read_image_header
 from pipelines.dataset.importers.recording import (
@@ -117,7 +117,7 @@ def grid_files(source: Path, pattern: str = DEFAULT_PATTERN) -> dict[Cell, Path]
 def _expression(pattern: str) -> re.Pattern[str]:
     if pattern.count("{row}") != 1 or pattern.count("{col}") != 1 or "/" in pattern:
         raise OptionError(
-            f"--pattern {pattern!r} must be a file name with {{row}} and {{col}} once each"
+            f"--pattern {quoted(pattern)} must be a file name with {{row}} and {{col}} once each"
         )
     parts = re.split(r"(\{row\}|\{col\}|\*)", pattern)
     pieces = {"{row}": "(?P<row>[0-9]{1,6})", "{col}": "(?P<col>[0-9]{1,6})", "*": ".*"}

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.artifacts.errors import InputError, OptionError, quoted
 from pipelines.artifacts.file_content import is_file
 from pipelines.artifacts.json_fields import JsonFields, read_json_object
 from pipelines.dataset.dataset import natural_key
@@ -101,10 +101,10 @@ def _image_of(path: Path, entry: JsonFields) -> str:
     """The existing image of a frame, relative to the JSON file's folder."""
     text = entry.get("file_path", str)
     if "\0" in text or PurePosixPath(text).is_absolute():
-        raise InputError(path, f"{entry.prefix}file_path {text[:80]!r} leads out of the folder")
+        raise InputError(path, f"{entry.prefix}file_path {quoted(text)} leads out of the folder")
     relative = os.path.normpath(text)
     if ".." in PurePosixPath(relative).parts or relative == ".":
-        raise InputError(path, f"{entry.prefix}file_path {text[:80]!r} leads out of the folder")
+        raise InputError(path, f"{entry.prefix}file_path {quoted(text)} leads out of the folder")
     for suffix in ("", *IMAGE_SUFFIXES):
         if is_file(path.parent / (relative + suffix)):
             return relative + suffix
@@ -190,7 +190,7 @@ def _distortion(path: Path, numbers: _Numbers) -> tuple[str, tuple[float, ...]]:
         return FISHEYE_MODEL, (k1, k2, k3, k4)
     if model not in PERSPECTIVE_MODELS:
         known = ", ".join((*PERSPECTIVE_MODELS, FISHEYE_MODEL))
-        raise InputError(path, f"camera_model {model[:40]!r} is not supported", f"known: {known}")
+        raise InputError(path, f"camera_model {quoted(model)} is not supported", f"known: {known}")
     if k4 != 0.0:
         raise InputError(path, f"k4 = {k4:g} of a camera that is no fisheye is not supported")
     if k3 != 0.0:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pipelines.artifacts.arrays import FloatArray
-from pipelines.artifacts.errors import InputError
+from pipelines.artifacts.errors import InputError, reason_of
 from pipelines.geometry.pose import pose_from_rotation
 
 # Matrices are written with six to eight digits and have been multiplied many times before; a
@@ -69,7 +69,7 @@ def read_number_rows(path: Path, text: str, columns: int) -> FloatArray:
         try:
             rows.append([float(part) for part in parts])
         except ValueError as error:
-            raise InputError(path, f"line {number}: not a number ({error})") from error
+            raise InputError(path, f"line {number}: not a number ({reason_of(error)})") from error
         if not np.all(np.isfinite(rows[-1])):
             raise InputError(path, f"line {number}: a value is not finite")
     return np.array(rows, dtype=np.float64).reshape(-1, columns)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 from pipelines.artifacts.arrays import FloatArray
-from pipelines.artifacts.errors import InputError
+from pipelines.artifacts.errors import InputError, quoted
 from pipelines.geometry.camera import Camera
 
 IMAGE_FOLDER, DEPTH_FOLDER = "rgb", "depth"
@@ -75,10 +75,10 @@ def name_below(folder: str, name: str, source: Path) -> str:
     """
     relative = PurePosixPath(name)
     if not relative.parts or relative.is_absolute() or ".." in relative.parts:
-        raise InputError(source, f"{name[:80]!r} leads out of the folder of the images")
+        raise InputError(source, f"{quoted(name)} leads out of the folder of the images")
     text = str(relative)
     if not text.isprintable() or text != text.strip():
-        raise InputError(source, f"{name[:80]!r} is no file name that a list could hold")
+        raise InputError(source, f"{quoted(name)} is no file name that a list could hold")
     # What lies in a folder of that name already needs no second one.
     return text if text.startswith(f"{folder}/") else f"{folder}/{text}"
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from pipelines.artifacts.errors import OptionError
+from pipelines.artifacts.errors import OptionError, quoted
 
 KINDS = ("grid", "colmap", "nerfstudio", "kitti", "7scenes", "video")
 # Sources whose poses are exact enough to be a reconstruction as they are.
@@ -85,7 +85,7 @@ class ImportSettings:
 
     def __post_init__(self) -> None:
         if self.kind not in ("auto", *KINDS):
-            raise OptionError(f"--from {self.kind!r} is none of auto, {', '.join(KINDS)}")
+            raise OptionError(f"--from {quoted(self.kind)} is none of auto, {', '.join(KINDS)}")
         for name in ("focus", "focal", "scale", "camera_height", "fps", "every", "max_frames"):
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value > 0.0):
@@ -99,7 +99,9 @@ class ImportSettings:
         for name, choices in (("camera", KITTI_CAMERAS), ("image_format", IMAGE_FORMATS)):
             value = getattr(self, name)
             if value is not None and value not in choices:
-                raise OptionError(f"{option_name(name)} {value!r} is none of {', '.join(choices)}")
+                raise OptionError(
+                    f"{option_name(name)} {quoted(value)} is none of {', '.join(choices)}"
+                )
         for first, second in (("focal", "fov"), ("every", "fps")):
             if getattr(self, first) is not None and getattr(self, second) is not None:
                 raise OptionError(

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from pipelines.artifacts.arguments import check_fields, checked_instance, checked_number
 from pipelines.artifacts.arrays import FloatArray
-from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.artifacts.errors import InputError, OptionError, quoted
 from pipelines.dataset.camera_file import read_camera_file
 from pipelines.dataset.dataset import CAMERA_FILE, load_dataset
 from pipelines.dock.robot import CheckedRobot, Robot, RobotError
@@ -50,6 +51,7 @@ class RobotOptions:
     fault: tuple[str, int] | None = None
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if not 16 <= self.camera_width <= 8192:
             raise OptionError(f"camera width {self.camera_width} is not between 16 and 8192")
 
@@ -66,14 +68,18 @@ def robot_named(name: str, scene: Scene, options: RobotOptions, seed: int) -> Ch
 
     Raises:
         InputError: a file that the robot needs cannot be used.
-        OptionError: the name has another form.
+        OptionError: the name has another form, or an argument is of another type.
         RobotError: a class of the user violates the robot protocol.
         StageError: the simulator is not installed.
     """
+    checked_instance(name, "robot", str)
+    checked_instance(scene, "the scene", Scene)
+    checked_instance(options, "robot options", RobotOptions)
+    checked_number(seed, "seed", 0, whole=True)
     kind, colon, rest = name.partition(":")
     if not colon or not rest:
         raise OptionError(
-            f"robot {name!r} is none of model:SCENE.h5, replay:DATASET, sim:SCENE.xml, "
+            f"robot {quoted(name)} is none of model:SCENE.h5, replay:DATASET, sim:SCENE.xml, "
             "package.module:Class"
         )
     if kind not in SIMULATED:

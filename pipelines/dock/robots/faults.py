@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray, ImageArray
-from pipelines.artifacts.errors import OptionError
+from pipelines.artifacts.errors import OptionError, quoted
 from pipelines.dock.robot import KnowsTruth, Robot
 
 KINDS = ("blocked", "slipping", "black", "frozen", "people", "cover", "driver")
@@ -34,7 +34,7 @@ class FaultyRobot:
 
     def __init__(self, robot: Robot, kind: str, step: int) -> None:
         if kind not in KINDS:
-            raise OptionError(f"fault {kind!r} is none of {', '.join(KINDS)}")
+            raise OptionError(f"fault {quoted(kind)} is none of {', '.join(KINDS)}")
         if step < 0:
             raise OptionError(f"a fault at step {step} is not possible")
         self.camera = robot.camera

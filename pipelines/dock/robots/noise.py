@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from pipelines.artifacts.arguments import check_fields
 from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.artifacts.errors import OptionError
 from pipelines.dock.planar_motion import moved
@@ -42,6 +43,7 @@ class MotionNoise:
     slip_share: float = 0.5
 
     def __post_init__(self) -> None:
+        check_fields(self)
         signed = ("scale", "drift")
         for field in fields(self):
             value = getattr(self, field.name)
@@ -98,6 +100,7 @@ class SensorNoise:
     gain: float = 0.05
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if not (0.0 <= self.noise <= 255.0 and 0.0 <= self.gain < 1.0):
             raise OptionError(
                 f"sensor noise {self.noise:g} is not between 0 and 255, or gain {self.gain:g} not "

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from pipelines.artifacts.arrays import Float32Array, FloatArray, ImageArray
-from pipelines.artifacts.errors import InputError, OptionError, StageError
+from pipelines.artifacts.errors import InputError, OptionError, StageError, quoted
 from pipelines.dock.robots.noise import SensorNoise, SimulatedMotion, SimulatedRobot, as_recorded
 from pipelines.geometry.camera import Camera, Intrinsics
 
@@ -54,7 +54,7 @@ class PathTracing:
             raise OptionError(f"{self.samples} samples a pixel are not between 1 and 65536")
         if self.variant not in (FASTEST, *VARIANTS):
             raise OptionError(
-                f"variant {self.variant!r} is none of {', '.join((FASTEST, *VARIANTS))}"
+                f"variant {quoted(self.variant)} is none of {', '.join((FASTEST, *VARIANTS))}"
             )
 
 
