@@ -14,6 +14,7 @@ import importlib.util
 import json
 import sys
 import time
+import types
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -32,8 +33,14 @@ BEFORE = {
     "pipelines.render.renderer": "pipelines.lightfield.renderer",
     "pipelines.render.surface": "pipelines.lightfield.proxy",
 }
-if importlib.util.find_spec("pipelines.render") is None:
+is_old = importlib.util.find_spec("pipelines.render") is None
+if is_old:
     sys.modules |= {name: importlib.import_module(before) for name, before in BEFORE.items()}
+if is_old or importlib.util.find_spec("pipelines.render.choices") is None:
+    choices = types.ModuleType("pipelines.render.choices")
+    for module, name in (("blending", "Blending"), ("surface", "Quality")):
+        setattr(choices, name, getattr(importlib.import_module(f"pipelines.render.{module}"), name))
+    sys.modules[choices.__name__] = choices
 
 from pipelines.artifacts.stages import no_progress  # noqa: E402
 from pipelines.dataset.dataset import load_dataset  # noqa: E402
@@ -50,10 +57,9 @@ from pipelines.localize.observation import Observation, Observer  # noqa: E402
 from pipelines.localize.settings import LocalizerSettings  # noqa: E402
 from pipelines.localize.state_space import PLANAR  # noqa: E402
 from pipelines.reconstruct.reconstruction import load_reconstruction, with_images  # noqa: E402
-from pipelines.render.blending import Blending  # noqa: E402
+from pipelines.render.choices import Blending, Quality  # noqa: E402
 from pipelines.render.devices import Device  # noqa: E402
 from pipelines.render.renderer import Renderer  # noqa: E402
-from pipelines.render.surface import Quality  # noqa: E402
 
 # The camera image, and where particles stand around it: metres and radians.
 FRAME, SPREAD, PARTICLES = 8, (0.1, 0.1, 0.05), 195

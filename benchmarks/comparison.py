@@ -27,8 +27,7 @@ from pipelines.artifacts.arrays import FloatArray
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.likelihood import ONE_PIXEL_IN
 from pipelines.localize.observation import Observation
-from pipelines.render.blending import Blending
-from pipelines.render.comparison import Cost
+from pipelines.render.choices import Blending, Cost
 from pipelines.render.reference import render_reference
 from pipelines.render.renderer import Renderer
 

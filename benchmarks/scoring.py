@@ -22,8 +22,8 @@ from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.observation import Observation, Observer
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import PLANAR
+from pipelines.render.choices import Quality
 from pipelines.render.devices import Device
-from pipelines.render.surface import Quality
 
 FRAME = 8
 # Particles stand so far apart, standard deviations in metres and radians.

@@ -210,8 +210,7 @@ def command(
     """
     from pipelines.localize.config import effective_settings, settings_text
     from pipelines.localize.stage import localize
-    from pipelines.render.blending import Blending
-    from pipelines.render.comparison import Cost
+    from pipelines.render.choices import Blending, Cost
     from pipelines.render.devices import Device
 
     options: dict[str, Any] = {

@@ -72,7 +72,7 @@ def command(
     """
     if (pose is None) == (poses is None):
         raise click.UsageError("give either --pose or --poses")
-    from pipelines.render.blending import Blending
+    from pipelines.render.choices import Blending
     from pipelines.render.devices import Device
     from pipelines.render.stage import RenderSettings, render
 

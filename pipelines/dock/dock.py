@@ -35,8 +35,9 @@ from pipelines.localize.localizer import Localizer
 from pipelines.localize.measurement_model import VIEW_RESOLUTION_FACTOR, MeasurementModel
 from pipelines.localize.run import BY_ODOMETRY, FrameRecord
 from pipelines.localize.settings import LocalizerSettings
+from pipelines.render.choices import Quality
 from pipelines.render.renderer_choice import renderer_of_scene
-from pipelines.render.surface import Quality, quality_named
+from pipelines.render.surface import quality_named
 
 
 @dataclass(frozen=True)

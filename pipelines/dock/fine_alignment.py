@@ -28,9 +28,10 @@ from pipelines.localize.localizer import TRACKING_HEADING, TRACKING_POSITION
 from pipelines.localize.observation import Observation, Observer
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import PLANAR
-from pipelines.render.channels import SCALE, ZERO, Channels, views_in_channels
+from pipelines.render.channels import SCALE, ZERO, views_in_channels
+from pipelines.render.choices import Channels, Quality
 from pipelines.render.renderer import Renderer, RenderingWithSurface
-from pipelines.render.surface import Quality, quality_named
+from pipelines.render.surface import quality_named
 
 # Errors of the model reach farther than a tile of the image: standard deviations that tiles tell
 # are this much too small. Wider than the filter's, since docking drives by a single image.

@@ -56,7 +56,7 @@ from pipelines.localize.config import (
 from pipelines.localize.config_keys import SECTIONS
 from pipelines.localize.settings import METHODS, LocalizerSettings
 from pipelines.localize.stage import NO_ODOMETRY
-from pipelines.render.channels import Channels
+from pipelines.render.choices import Channels
 
 STUDY_KEYS = ("seeds", "channels")
 CONDITION_KEYS = (

@@ -27,7 +27,7 @@ from pipelines.localize.run import Run
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.stage import NO_ODOMETRY, localize_dataset
 from pipelines.localize.trust import Trust, pooled, trust_elsewhere, trust_of
-from pipelines.render.channels import Channels
+from pipelines.render.choices import Channels
 
 
 @dataclass(frozen=True)

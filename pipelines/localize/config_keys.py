@@ -14,9 +14,7 @@ from typing import Any
 
 from pipelines.artifacts.toml_file import format_value, type_name
 from pipelines.localize.settings import LocalizerSettings
-from pipelines.render.blending import Blending
-from pipelines.render.channels import Channels
-from pipelines.render.comparison import Cost
+from pipelines.render.choices import Blending, Channels, Cost
 from pipelines.render.devices import Device
 
 SECTIONS = {

@@ -16,8 +16,7 @@ from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import OptionError, StageError
 from pipelines.localize.belief import effective_sample_size, normalise_log_weights
 from pipelines.localize.observation import LATTICES
-from pipelines.render.channels import Channels
-from pipelines.render.comparison import Cost
+from pipelines.render.choices import Channels, Cost
 
 
 @dataclass(frozen=True)

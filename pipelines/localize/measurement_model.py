@@ -20,12 +20,13 @@ from pipelines.localize.observation import Observation, Observations
 from pipelines.localize.places import compressed
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import StateSpace
-from pipelines.render.channels import Channels, views_in_channels
-from pipelines.render.comparison import Cost, PixelEvidence
+from pipelines.render.channels import views_in_channels
+from pipelines.render.choices import Channels, Cost, Quality
+from pipelines.render.comparison import PixelEvidence
 from pipelines.render.pixel_evidence import learn_evidence
 from pipelines.render.renderer import Renderer
 from pipelines.render.renderer_choice import renderer_of_scene
-from pipelines.render.surface import Quality, quality_named
+from pipelines.render.surface import quality_named
 
 # Photos are kept at so many times the width of the finest comparison.
 VIEW_RESOLUTION_FACTOR = 8

@@ -9,9 +9,9 @@ from pipelines.localize.likelihood import LIKELIHOODS, Likelihood
 from pipelines.localize.motion import MotionModel
 from pipelines.localize.resampling import SCHEMES
 from pipelines.localize.state_space import StateSpace, state_space_of_dimension
-from pipelines.render.blending import Blending
+from pipelines.render.choices import Blending, Quality
 from pipelines.render.devices import Device
-from pipelines.render.surface import Quality, quality_named
+from pipelines.render.surface import quality_named
 
 METHODS = ("filter", "pnp")
 PROPOSALS = ("appearance", "pnp", "both")

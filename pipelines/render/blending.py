@@ -14,8 +14,6 @@ the best at a few points all over the image are found first, and the corners cho
 what a corner misses by that is a view that is the best for it, but not for any point around it.
 """
 
-from enum import IntEnum
-
 import numpy as np
 
 from pipelines.artifacts.arrays import BoolArray, FloatArray, IntArray
@@ -23,14 +21,6 @@ from pipelines.geometry.camera import Intrinsics
 from pipelines.lightfield.view_penalties import border_penalties, ray_penalties, sees
 from pipelines.lightfield.views import Views
 from pipelines.render.delaunay_mesh import PixelWeights
-
-
-class Blending(IntEnum):
-    """The blending rules."""
-
-    DELAUNAY = 0
-    UNSTRUCTURED = 1
-
 
 # Tiles are so many pixels wide and high, but there are never fewer or more of them than this.
 TILE_SIDE = 5

@@ -18,13 +18,12 @@ code. They are computed from each level of a photo's pyramid, so that a neighbou
 pixels wide as in the image that it is compared with.
 """
 
-from enum import Enum
-
 import cv2
 import numpy as np
 
 from pipelines.artifacts.arrays import BoolArray, Float32Array, ImageArray
 from pipelines.lightfield.views import Views
+from pipelines.render.choices import Channels
 
 # Side of the neighbourhood, pixels.
 WINDOW = 5
@@ -38,16 +37,6 @@ COLOURFULNESS = 4.0
 ZERO, SCALE = 128.0, 40.0
 # Luma of ITU-R BT.601.
 LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
-
-
-class Channels(Enum):
-    """What is compared."""
-
-    COLOUR = "colour"
-    CONTRAST = "contrast"
-    GRADIENT = "gradient"
-    MIXED = "mixed"
-    CHROMA = "chroma"
 
 
 def channel_image(

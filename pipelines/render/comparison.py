@@ -11,31 +11,13 @@ no view covers says nothing and adds 0, so that looking at nothing earns nothing
 """
 
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 
 from pipelines.artifacts.arrays import BoolArray, Float32Array, ImageArray, Int32Array
 from pipelines.artifacts.errors import OptionError
 from pipelines.native import image_cost
-
-
-class Cost(IntEnum):
-    """The kinds of comparison.
-
-    SQUARED: mean squared colour difference, the paper's, relative to 255^2.
-    ROBUST: mean absolute colour difference, each limited to ``ROBUST_LIMIT``, relative to that.
-    ZNCC: (1 - zero-mean normalised cross-correlation) / 2, over all three channels together.
-    GRADIENT: mean absolute difference of horizontal and vertical gradients, limited like ROBUST.
-    EVIDENCE: minus the sum of the pixels' logarithms of a likelihood ratio; not limited to [0, 1].
-    """
-
-    SQUARED = 0
-    ROBUST = 1
-    ZNCC = 2
-    GRADIENT = 3
-    EVIDENCE = 4
-
+from pipelines.render.choices import Cost
 
 # Grey levels of 255. Differences beyond the limit are "something else", however large.
 ROBUST_LIMIT = 64.0

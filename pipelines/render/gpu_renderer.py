@@ -19,8 +19,8 @@ from pipelines.artifacts.arrays import BoolArray, Float32Array, FloatArray, Imag
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
 from pipelines.lightfield.views import Views
-from pipelines.render.blending import Blending
-from pipelines.render.comparison import Cost, PixelEvidence, evidence_table
+from pipelines.render.choices import Blending, Cost, Quality
+from pipelines.render.comparison import PixelEvidence, evidence_table
 from pipelines.render.gpu_device import (
     UNIFORM,
     Gpu,
@@ -43,7 +43,7 @@ from pipelines.render.gpu_work import (
     tiles_of,
 )
 from pipelines.render.renderer import Renderer, Rendering, check_query
-from pipelines.render.surface import Quality, cell_size
+from pipelines.render.surface import cell_size
 
 POSE_BYTES = 48
 # So many poses and costs are on the card at a time.

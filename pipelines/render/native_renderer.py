@@ -23,18 +23,12 @@ from pipelines.render.blending import (
     MOST_RANKED,
     OCCLUSION_FACTOR,
     SMALLEST_PENALTY,
-    Blending,
     outlook_positions,
     tile_borders,
 )
 from pipelines.render.candidate_views import ViewIndex
-from pipelines.render.comparison import (
-    EVIDENCE_BIN,
-    EVIDENCE_BINS,
-    LIMITS,
-    UNCOVERED,
-    Cost,
-)
+from pipelines.render.choices import Blending, Cost, Quality
+from pipelines.render.comparison import EVIDENCE_BIN, EVIDENCE_BINS, LIMITS, UNCOVERED
 from pipelines.render.delaunay_mesh import MESH_LIMITS
 from pipelines.render.reference import SMALLEST_WEIGHT, frustum_positions
 from pipelines.render.sample_store import SampleStore
@@ -45,7 +39,6 @@ from pipelines.render.surface import (
     PINHOLE_NEIGHBOURS,
     SOURCE_VIEWS,
     TURN_COST,
-    Quality,
     cell_size,
 )
 

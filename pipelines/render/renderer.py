@@ -19,17 +19,10 @@ from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.views import Views, views_of_scene, without_depth, without_view
-from pipelines.render.blending import Blending
 from pipelines.render.candidate_views import build_index
-from pipelines.render.comparison import (
-    Cost,
-    PixelEvidence,
-    evidence_table,
-    prepared,
-    prepared_pixels,
-)
+from pipelines.render.choices import Blending, Cost, Quality
+from pipelines.render.comparison import PixelEvidence, evidence_table, prepared, prepared_pixels
 from pipelines.render.native_renderer import NativeRenderer
-from pipelines.render.surface import Quality
 from pipelines.render.surface import usual_inverse_depth as median_inverse_depth
 
 # So many poses are compared in one call: enough to make its cost small, few enough to share work

@@ -8,8 +8,6 @@ size of the mesh's cells. This is the readable version; ``native/depth_surface.h
 one.
 """
 
-from enum import IntEnum
-
 import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray, IntArray
@@ -17,15 +15,7 @@ from pipelines.artifacts.errors import OptionError
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.pose import inverse
 from pipelines.lightfield.views import ViewArrays, Views
-
-
-class Quality(IntEnum):
-    """Size of the surface's cells in pixels of the virtual image; 0: one plane for everything."""
-
-    PLANE = 0
-    FINE = 1
-    MEDIUM = 2
-    COARSE = 4
+from pipelines.render.choices import Quality
 
 
 def quality_named(name: str | None, has_depth: bool, preferred: Quality) -> Quality:

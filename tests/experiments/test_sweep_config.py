@@ -10,7 +10,7 @@ from pipelines.experiments.config_tables import parse_seeds
 from pipelines.experiments.sweep_config import read_sweep_config
 from pipelines.localize.likelihood import LIKELIHOODS
 from pipelines.localize.stage import NO_ODOMETRY
-from pipelines.render.comparison import Cost
+from pipelines.render.choices import Cost
 
 DATASET = '[[dataset]]\nscene = "scene.h5"\npath = "drives/lobby"\n'
 

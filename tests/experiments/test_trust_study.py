@@ -26,7 +26,7 @@ from pipelines.geometry.trajectory import Trajectory, format_tum
 from pipelines.lightfield.scene_file import save_scene
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import PLANAR
-from pipelines.render.channels import Channels
+from pipelines.render.choices import Channels
 from tests.drive_samples import SCENE, TRUTH
 from tests.report_samples import photo
 

@@ -18,9 +18,7 @@ from pipelines.localize.config_keys import KEYS, SECTIONS, degrees_of
 from pipelines.localize.likelihood import LIKELIHOODS, Likelihood
 from pipelines.localize.motion import MotionModel
 from pipelines.localize.settings import LocalizerSettings
-from pipelines.render.blending import Blending
-from pipelines.render.channels import Channels
-from pipelines.render.comparison import Cost
+from pipelines.render.choices import Blending, Channels, Cost
 from pipelines.render.devices import Device
 from tests.chain_samples import lfnav, succeed
 

@@ -17,8 +17,7 @@ from pipelines.localize.likelihood import (
 )
 from pipelines.localize.observation import Observation
 from pipelines.localize.state_space import PLANAR
-from pipelines.render.channels import Channels
-from pipelines.render.comparison import Cost
+from pipelines.render.choices import Channels, Cost
 from pipelines.render.renderer import Renderer
 from tests.report_samples import CAMERA, MOUNT, facing_wall, photo, wall_scene
 

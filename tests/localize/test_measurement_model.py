@@ -14,8 +14,7 @@ from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.observation import Observation, Observer
 from pipelines.localize.places import COMPRESSED
 from pipelines.localize.state_space import PLANAR
-from pipelines.render.channels import Channels
-from pipelines.render.comparison import Cost
+from pipelines.render.choices import Channels, Cost
 from tests.drive_samples import informed_settings
 from tests.report_samples import (
     CAMERA,

@@ -10,9 +10,7 @@ from pipelines.artifacts.errors import OptionError
 from pipelines.localize.likelihood import Likelihood
 from pipelines.localize.motion import MotionModel
 from pipelines.localize.settings import MAX_PARTICLES, LocalizerSettings
-from pipelines.render.blending import Blending
-from pipelines.render.channels import Channels
-from pipelines.render.comparison import Cost
+from pipelines.render.choices import Blending, Channels, Cost
 
 NAN, INF = math.nan, math.inf
 

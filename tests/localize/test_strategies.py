@@ -23,8 +23,7 @@ from pipelines.localize.observation import Observation, Observations
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import PLANAR
 from pipelines.localize.strategies import CoarseToFine, Condensation, Strategy, start_belief
-from pipelines.render.channels import Channels
-from pipelines.render.comparison import Cost
+from pipelines.render.choices import Channels, Cost
 from pipelines.render.renderer import Renderer
 from tests.report_samples import MOUNT, wall_scene
 

@@ -14,11 +14,10 @@ from pipelines.artifacts.errors import OptionError
 from pipelines.dataset.images import decode_image
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.run import load_run
-from pipelines.render.blending import Blending
+from pipelines.render.choices import Blending, Quality
 from pipelines.render.devices import Device, chosen_gpu, resolved_device
 from pipelines.render.renderer import Renderer
 from pipelines.render.renderer_choice import renderer_of_scene
-from pipelines.render.surface import Quality
 from tests.chain_samples import ELEVATORS, first_frames, lfnav, map_elevators, succeed
 
 POSE = "-1.2,-2.0,90"

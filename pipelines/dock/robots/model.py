@@ -8,8 +8,9 @@ from pipelines.dock.robots.noise import SensorNoise, SimulatedMotion, as_recorde
 from pipelines.geometry.camera import Camera, Undistorter
 from pipelines.geometry.pose import world_from_base_planar
 from pipelines.lightfield.scene import Scene
+from pipelines.render.choices import Quality
 from pipelines.render.renderer import Renderer
-from pipelines.render.surface import Quality, quality_named
+from pipelines.render.surface import quality_named
 
 
 class ModelRobot:
