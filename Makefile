@@ -32,7 +32,7 @@ SEED := 0
 # On a larger machine: make test TEST_WORKERS='-n 4 --dist loadfile'.
 TEST_WORKERS :=
 
-.PHONY: help install demo demo-sfm demo-dock test test-slow test-lowest test-sanitized lint format wheel bench bench-against clean
+.PHONY: help install demo demo-sfm demo-dock test test-slow test-lowest test-sanitized lint format wheel bench bench-against docs-settings clean
 
 help:
 	@echo "make install      a virtual environment in $(VENV) with lfnav in it"
@@ -45,6 +45,7 @@ help:
 	@echo "make wheel        a wheel for this machine -> dist/, tried in an empty environment"
 	@echo "make bench        measures particles, frames, views, starting, memory, the graphics card"
 	@echo "make bench-against REVISION=...  particles, views, alignments, depth maps beside an older revision"
+	@echo "make docs-settings  docs/settings.md from the definitions of the settings"
 	@echo "make clean        removes out/ and caches; $(VENV) stays"
 
 # ---------------------------------------------------------------------------- installation
@@ -147,6 +148,10 @@ bench: $(STAMP)
 # Beside an older revision, by default the last one with numba: make bench-against REVISION=v1.2
 bench-against: $(STAMP)
 	$(VENV_PYTHON) -m benchmarks.against $(REVISION)
+
+# All settings, their names, ranges and defaults, from where they are defined.
+docs-settings: $(STAMP)
+	$(VENV_PYTHON) -m pipelines.dock.settings_page docs/settings.md
 
 clean:
 	rm -rf out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -16,7 +16,7 @@ import sys
 import time
 import types
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import cv2
@@ -61,6 +61,8 @@ from pipelines.render.choices import Blending, Quality  # noqa: E402
 from pipelines.render.devices import Device  # noqa: E402
 from pipelines.render.renderer import Renderer  # noqa: E402
 
+# As a setting of the likelihood, the fourth, is called.
+SUBSAMPLING = fields(LIKELIHOODS["evidence"])[3].name
 # The camera image, and where particles stand around it: metres and radians.
 FRAME, SPREAD, PARTICLES = 8, (0.1, 0.1, 0.05), 195
 WIDTHS = (40, 80, 160)
@@ -125,7 +127,7 @@ class Side:
     @functools.cache  # noqa: B019
     def _model(self, scene: str, blending: Blending, width: int, one_in: int) -> MeasurementModel:
         settings = LocalizerSettings(
-            likelihood=replace(LIKELIHOODS["evidence"], one_pixel_in=one_in),
+            likelihood=replace(LIKELIHOODS["evidence"], **{SUBSAMPLING: one_in}),  # type: ignore[arg-type]
             coarse_width=min(WIDTHS),
             fine_width=width,
             refine_width=0,

@@ -43,9 +43,9 @@ if TYPE_CHECKING:
 )
 @click.option("--width", type=int, help="Pixels across. Default: as recorded.")
 @blending_option
-@quality_option("fine")
+@quality_option
 @click.option("--fps", type=float, default=10.0, show_default=True, help="Of a video.")
-@device_option()
+@device_option
 @overwrite_option
 @json_option
 @common_options

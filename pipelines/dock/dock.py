@@ -114,7 +114,7 @@ def equipment_of(
         robot: checked.
         goal: ``(3,)`` x, y in metres and heading in radians.
         settings: of the docking.
-        filter_settings: of the filter; start and area are taken from ``settings``.
+        filter_settings: of the filter; its area is one that the robot must not leave.
         rng: of the filter.
         mask: ``(height, width)``, True where images of the robot's camera are to be used; None:
             everywhere.
@@ -125,11 +125,11 @@ def equipment_of(
     """
     if filter_settings.state_space.angles != 1:
         raise OptionError("docking takes place on a floor: the filter needs 3 degrees of freedom")
-    x_min, x_max, y_min, y_max = settings.area or map(float, scene.bounds)
+    chosen = filter_settings
+    x_min, x_max, y_min, y_max = chosen.area or map(float, scene.bounds)
     clearance = Clearance(scene, float(robot.base_from_camera[2, 3]))
     safety = Safety((x_min, x_max, y_min, y_max), clearance, settings.distance_kept)
     safety.check_goal(goal)
-    chosen = replace(filter_settings, start=settings.start, area=settings.area)
     renderer = renderer_of_scene(
         scene,
         VIEW_RESOLUTION_FACTOR * chosen.fine_width,
@@ -158,7 +158,7 @@ def equipment_of(
     pilot = Pilot(goal, settings, safety, explorer)
     return Equipment(
         robot,
-        localizer_of(settings.start),
+        localizer_of(chosen.start),
         lambda: localizer_of(None),
         alignment,
         pilot,

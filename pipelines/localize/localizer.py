@@ -127,7 +127,7 @@ class Localizer:
                 the motion; None: nobody knows, a random walk. Not used for the first image.
             timestamp: seconds, kept in the record.
             image_name: kept in the record.
-            hypotheses: ``(K, D)`` states worth a look, found by other means (``informed`` only).
+            hypotheses: ``(K, D)`` states worth a look, found by other means (``mixture`` only).
 
         Returns:
             The belief, the estimates drawn from it, and how sure they are.

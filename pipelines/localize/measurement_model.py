@@ -111,29 +111,29 @@ class MeasurementModel:
         """Log-likelihoods ``(M,)`` of states ``(M, D)``, up to a common constant."""
         likelihood = self.likelihood
         if likelihood.cost is Cost.EVIDENCE:
-            return self.evidence(states, observation, likelihood.one_pixel_in)
+            return self.evidence(states, observation, likelihood.pixel_subsampling)
         own = observation.in_channels(likelihood.channels)
         costs = self._renderers[likelihood.channels].costs(
             self._poses(states),
             own.intrinsics,
-            own.thinned(likelihood.one_pixel_in),
+            own.thinned(likelihood.pixel_subsampling),
             likelihood.cost,
             likelihood.fit_gain,
         )
-        return -likelihood.sharpness * costs
+        return -likelihood.inverse_temperature * costs
 
     def evidence(
-        self, states: FloatArray, observation: Observation, one_pixel_in: int = 1
+        self, states: FloatArray, observation: Observation, pixel_subsampling: int = 1
     ) -> FloatArray:
         """What an image says for states ``(M, D)`` against "it does not show the map", ``(M,)``.
 
         Args:
             states: where.
             observation: the image.
-            one_pixel_in: one in so many pixels is compared; they stand for all.
+            pixel_subsampling: one in so many pixels is compared; they stand for all.
         """
         own = observation.in_channels(self.channels)
-        image = own.thinned(one_pixel_in)
+        image = own.thinned(pixel_subsampling)
         compared = max(int(np.count_nonzero(np.isfinite(image[..., 0]))), 1)
         usable = int(np.count_nonzero(own.used))
         costs = self.renderer.costs(
@@ -146,7 +146,9 @@ class MeasurementModel:
         )
         # Of all pixels, masked ones included: a part of an image is worth a part.
         share = usable / compared / own.used.size
-        return np.where(self._is_too_near(states), 0.0, -self._absolute.sharpness * share * costs)
+        return np.where(
+            self._is_too_near(states), 0.0, -self._absolute.inverse_temperature * share * costs
+        )
 
     def _is_too_near(self, states: FloatArray) -> BoolArray:
         """Which states ``(M, D)`` have the camera nearer to the plane than photos can show.
@@ -183,7 +185,9 @@ class MeasurementModel:
         own = observation.in_channels(self.channels)
         pixels = self.pixels(own.intrinsics.width)
         rows = pixels.rows(own.image[own.used]).astype(np.int64)
-        expected = self._absolute.sharpness * float(pixels.expected[rows].sum()) / own.used.size
+        expected = (
+            self._absolute.inverse_temperature * float(pixels.expected[rows].sum()) / own.used.size
+        )
         return min(max(evidence / max(expected, 1e-9), LEAST_EXPLAINED), 1.0)
 
     @property

@@ -1,4 +1,4 @@
-"""The informed strategy: the image says where to look, the weights say what to believe.
+"""The mixture strategy: the image says where to look, the weights say what to believe.
 
 One frame: odometry predicts where the body may be (``prediction``). Hypotheses that may explain the
 image are aligned with it: the peaks of the last belief, and, while nobody knows where the body is
@@ -405,7 +405,7 @@ class Informed:
         space = self._space
         smallest = sigmas_of(space, SMALLEST_POSITION, SMALLEST_ANGLE)
         largest = sigmas_of(space, LARGEST_POSITION, LARGEST_ANGLE)
-        sharpness = 2.0 * self._model.likelihood.proposal_sharpness / 255.0**2
+        sharpness = 2.0 * self._model.likelihood.proposal_inverse_temperature / 255.0**2
         precision = sharpness * curvature + np.diag(largest**-2.0)
         return np.asarray(WIDENING**2 * np.linalg.inv(precision) + np.diag(smallest**2))
 

@@ -16,69 +16,12 @@ same variances along its three axes and about them. Where no odometry is known t
 random walk.
 """
 
-import math
-from dataclasses import dataclass, fields
-
 import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import OptionError
+from pipelines.localize.settings import MotionModel
 from pipelines.localize.state_space import StateSpace
-
-
-@dataclass(frozen=True)
-class MotionModel:
-    """How far odometry is trusted. Zero is allowed everywhere and means: exact.
-
-    Attributes:
-        alpha1: heading noise from turning, rad^2 a rad^2.
-        alpha2: heading noise from driving, rad^2 a m^2.
-        alpha3: position noise from driving, m^2 a m^2.
-        alpha4: position noise from turning, m^2 a rad^2.
-        position_floor: standard deviation of x and of y that each step adds, metres.
-        heading_floor: standard deviation of the heading that each step adds, radians.
-        walk_position: standard deviation along each axis of a step without odometry, metres.
-        walk_heading: likewise about each axis, radians.
-
-    Raises:
-        OptionError: a value that is negative or not finite.
-    """
-
-    alpha1: float = 0.04
-    alpha2: float = 0.02
-    alpha3: float = 0.04
-    alpha4: float = 0.01
-    position_floor: float = 0.02
-    heading_floor: float = 0.01
-    walk_position: float = 0.15
-    walk_heading: float = 0.12
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not (np.isfinite(value) and value >= 0.0):
-                raise OptionError(f"motion noise {field.name} = {value:g} is not 0 or more")
-
-    def standard_deviations(
-        self, space: StateSpace, increment: FloatArray | None
-    ) -> tuple[float, float]:
-        """Noise of one step: along each axis (metres) and of each angle (radians).
-
-        Args:
-            space: what a state is.
-            increment: ``(D,)`` in the body's frame; None: nobody knows.
-        """
-        if increment is None:
-            return self.walk_position, self.walk_heading
-        translation_squared = float(np.sum(increment[: space.positions] ** 2))
-        turn_squared = float(np.sum(increment[space.positions :] ** 2))
-        position_variance = (
-            self.alpha3 * translation_squared + self.alpha4 * turn_squared + self.position_floor**2
-        )
-        heading_variance = (
-            self.alpha1 * turn_squared + self.alpha2 * translation_squared + self.heading_floor**2
-        )
-        return math.sqrt(position_variance), math.sqrt(heading_variance)
 
 
 def checked_increment(space: StateSpace, increment: FloatArray | None) -> FloatArray | None:

@@ -122,7 +122,7 @@ class Search:
         around = np.repeat(found, effort.copies, axis=0)
         around = space.moved(around, sigma * self._rng.standard_normal(around.shape))
         states = np.concatenate([found, around])
-        return states, self._model.evidence(states, fine, self._model.likelihood.one_pixel_in)
+        return states, self._model.evidence(states, fine, self._model.likelihood.pixel_subsampling)
 
     def most_evidence(self, gallery: Gallery, observations: Observations) -> float:
         """The most that an image says for any state, by a glance."""

@@ -1,7 +1,7 @@
 """The stage ``localize``: a scene model and a data set in, a run out."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,16 +26,16 @@ from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_scene
 from pipelines.localize.belief import Region
 from pipelines.localize.description import RunSummary
+from pipelines.localize.landmarks import LandmarkSource
 from pipelines.localize.localizer import Localizer, region_of
 from pipelines.localize.map_heights import notes_on_heights
-from pipelines.localize.pnp import PnpLocalizer
+from pipelines.localize.pnp import MountedCamera, PnpLocalizer
 from pipelines.localize.pnp_frames import beside, pnp_record
 from pipelines.localize.run import FrameRecord, Run, relative_scene_path, save_run
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import StateSpace
 from pipelines.reconstruct.reconstruction import (
     DESCRIPTION_NAME,
-    Reconstruction,
     load_reconstruction,
 )
 from pipelines.render.devices import resolved_device
@@ -44,76 +44,105 @@ from pipelines.render.devices import resolved_device
 NO_ODOMETRY = Path("none")
 
 
-def localize(
-    scene_path: Path,
-    dataset_path: Path,
-    output: Path,
-    settings: LocalizerSettings,
-    *,
-    seed: int,
-    odometry: Path | None,
-    overwrite: bool,
-    progress: Progress,
-    reconstruction: Path | None = None,
-    ignore_odometry: bool = False,
-    mask: Path | None = None,
-) -> RunSummary:
-    """Localizes the robot in every frame of a data set and writes the run.
+@dataclass(frozen=True)
+class LocalizeRequest:
+    """What is to be localized in what.
 
-    Args:
-        scene_path: scene model.
-        dataset_path: images, camera with mount, odometry.
+    Attributes:
+        scene: scene model.
+        dataset: images, camera with mount, odometry.
         output: the file to be written.
         settings: of the filter.
         seed: of its random numbers, not negative.
         odometry: TUM file to use instead of the data set's own.
-        overwrite: whether an existing file may be replaced.
-        progress: told how far the work is.
-        reconstruction: folder of the scene's reconstruction, whose points PnP then uses.
         ignore_odometry: whether to do without the data set's own.
         mask: file to use instead of the data set's own.
+        reconstruction: folder of the scene's reconstruction, whose points PnP then uses.
+        overwrite: whether an existing file may be replaced.
+    """
+
+    scene: Path
+    dataset: Path
+    output: Path
+    settings: LocalizerSettings
+    seed: int = 0
+    odometry: Path | None = None
+    ignore_odometry: bool = False
+    mask: Path | None = None
+    reconstruction: Path | None = None
+    overwrite: bool = False
+
+    @property
+    def odometry_source(self) -> Path:
+        """Where the odometry is read, or how errors say that there is none."""
+        if self.ignore_odometry:
+            return NO_ODOMETRY
+        return self.odometry if self.odometry is not None else self.dataset / ODOMETRY_FILE
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a run comes from.
+
+    Attributes:
+        odometry: the odometry's file, for errors.
+        scene_path: how the run refers to its scene.
+        record: the run's provenance.
+    """
+
+    odometry: Path
+    scene_path: str
+    record: dict[str, Any] = field(default_factory=dict)
+
+
+def localize(request: LocalizeRequest, progress: Progress) -> RunSummary:
+    """Localizes the robot in every frame of a data set and writes the run.
+
+    Args:
+        request: what, and with which settings.
+        progress: told how far the work is.
 
     Raises:
         InputError: an input cannot be used, or the output not be written.
         OptionError: settings that make no sense for this scene.
     """
-    check_output(output, overwrite)
-    if seed < 0:
-        raise OptionError(f"seed {seed} is negative")
+    settings, reconstruction = request.settings, request.reconstruction
+    check_output(request.output, request.overwrite)
+    if request.seed < 0:
+        raise OptionError(f"seed {request.seed} is negative")
     if reconstruction is not None and not settings.uses_pnp:
         raise OptionError("a reconstruction is of use to PnP alone, which nothing asks for")
-    scene = load_scene(scene_path)
+    scene = load_scene(request.scene)
     points = None if reconstruction is None else load_reconstruction(reconstruction)
-    dataset = load_dataset(dataset_path, odometry=odometry, mask=mask)
-    if ignore_odometry:
+    dataset = load_dataset(request.dataset, odometry=request.odometry, mask=request.mask)
+    if request.ignore_odometry:
         dataset = replace(dataset, odometry=None)
     if settings.method == "filter":
         # The file says where it was computed: another device rounds differently.
         settings = replace(settings, device=resolved_device(settings.device))
-    source = odometry if odometry is not None else dataset_path / ODOMETRY_FILE
-    if ignore_odometry:
-        source = NO_ODOMETRY
     inputs = {"scene": scene.identifier}
     if dataset.odometry is not None:
-        inputs["odometry"] = sha256_of_file(source)
+        inputs["odometry"] = sha256_of_file(request.odometry_source)
     if dataset.mask is not None:
         inputs["mask"] = dataset.mask.sha256
     if reconstruction is not None:
         inputs["reconstruction"] = sha256_of_file(reconstruction / DESCRIPTION_NAME)
+    origin = Origin(
+        request.odometry_source,
+        relative_scene_path(request.scene, request.output),
+        provenance("localize", {**settings.to_dict(), "seed": request.seed}, inputs),
+    )
     run = localize_dataset(
         scene,
         dataset,
         settings,
-        seed=seed,
-        odometry_source=source,
-        scene_path=relative_scene_path(scene_path, output),
-        record=provenance("localize", {**settings.to_dict(), "seed": seed}, inputs),
+        seed=request.seed,
+        origin=origin,
         progress=progress,
-        reconstruction=points,
-        reconstruction_path=str(reconstruction),
+        landmarks=None if points is None else LandmarkSource(scene, points, str(reconstruction)),
     )
-    save_run(output, run, overwrite)
-    return RunSummary(output, run)
+    save_run(request.output, run, request.overwrite)
+    return RunSummary(request.output, run)
 
 
 def localize_dataset(
@@ -122,12 +151,9 @@ def localize_dataset(
     settings: LocalizerSettings,
     *,
     seed: int,
-    odometry_source: Path,
-    scene_path: str,
-    record: dict[str, Any],
+    origin: Origin,
     progress: Progress,
-    reconstruction: Reconstruction | None = None,
-    reconstruction_path: str = "reconstruction",
+    landmarks: LandmarkSource | None = None,
 ) -> Run:
     """Localizes the robot in every frame of a data set, in memory.
 
@@ -136,12 +162,9 @@ def localize_dataset(
         dataset: with camera, mount and odometry, and a mask where there is one.
         settings: of the filter.
         seed: of its random numbers.
-        odometry_source: the odometry's file, for errors.
-        scene_path: how the run refers to its scene.
-        record: the run's provenance.
+        origin: where the data come from.
         progress: told how far the work is.
-        reconstruction: the scene's, whose points PnP then uses; None: the scene's surface.
-        reconstruction_path: how errors name it.
+        landmarks: of the features that PnP uses; None: from the scene's surface.
 
     Raises:
         InputError: the data set lacks camera, mount or odometry, its odometry is not that of a
@@ -150,25 +173,22 @@ def localize_dataset(
     space = settings.state_space
     camera, mount = _camera_and_mount(dataset, space)
     mask = None if dataset.mask is None else dataset.mask.used
-    notes = list(check_odometry(dataset, settings, odometry_source))
+    notes = list(check_odometry(dataset, settings, origin.odometry))
     if space.angles == 1:
         notes += notes_on_heights(scene, float(mount[2, 3]))
     body_poses = None
     if dataset.odometry is not None:
-        body_poses = poses_at_images(dataset, dataset.odometry, odometry_source)
+        body_poses = poses_at_images(dataset, dataset.odometry, origin.odometry)
     pnp = None
     if settings.uses_pnp:
         pnp = PnpLocalizer(
             scene,
-            camera,
-            mount,
+            LandmarkSource(scene, None) if landmarks is None else landmarks,
+            MountedCamera(camera, mount, mask),
             space,
             seed=seed,
             threads=settings.threads,
-            reconstruction=reconstruction,
-            reconstruction_path=reconstruction_path,
             progress=progress,
-            mask=mask,
         )
     rng = np.random.default_rng(seed)
     localizer = None
@@ -186,7 +206,7 @@ def localize_dataset(
         notes += localizer.notes
     return Run(
         scene_identifier=scene.identifier,
-        scene_path=scene_path,
+        scene_path=origin.scene_path,
         dataset_name=dataset.root.resolve().as_posix().split("/")[-1],
         camera=camera,
         base_from_camera=mount,
@@ -196,7 +216,7 @@ def localize_dataset(
         encoded_images=tuple(dataset.read_image_bytes(index) for index in range(len(dataset))),
         odometry=None if body_poses is None else space.states(body_poses),
         groundtruth=_groundtruth_states(dataset, space),
-        provenance={**record, "notes": notes} if notes else record,
+        provenance={**origin.record, "notes": notes} if notes else origin.record,
     )
 
 
@@ -259,7 +279,7 @@ def _locator(
         answer = pnp.locate(image)
         if localizer is None:
             return pnp_record(answer, region, settings, rng, time, name)
-        hypotheses = None if settings.proposal == "appearance" else answer.hypotheses
+        hypotheses = None if settings.proposal == "retrieval" else answer.hypotheses
         record = localizer.step(image, increment, time, name, hypotheses)
         return beside(record, answer, noted=settings.with_pnp)
 
@@ -277,7 +297,8 @@ def _camera_and_mount(dataset: Dataset, space: StateSpace) -> tuple[Camera, Floa
         raise InputError(
             dataset.root / CAMERA_FILE,
             "has no [mount]: a planar robot needs to know where its camera sits",
-            "add [mount] with x, y, z, roll, pitch, yaw, or give --dof 6 for a hand-held camera",
+            "add [mount] with x, y, z, roll, pitch, yaw, or give --degrees-of-freedom 6 for a "
+            "hand-held camera",
         )
     return dataset.camera, dataset.base_from_camera
 

@@ -8,7 +8,7 @@ image; the number of particles is constant.
 at first, a likelihood that is kept from killing all but one of them, fewer particles as the belief
 narrows.
 
-``informed`` lets the image say where to look (``mixture_mcl``), and is the default.
+``mixture`` lets the image say where to look (``mixture_mcl``), and is the default.
 """
 
 import math
@@ -29,7 +29,6 @@ from pipelines.localize.belief import (
 )
 from pipelines.localize.estimate import Mode, find_modes
 from pipelines.localize.kld_sampling import next_count, roughened
-from pipelines.localize.likelihood import tempered
 from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.motion import checked_increment, predict
 from pipelines.localize.observation import Observations
@@ -38,6 +37,7 @@ from pipelines.localize.places import compressed
 from pipelines.localize.resampling import resample
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import StateSpace
+from pipelines.localize.tempering import tempered
 
 # An image that fits some place so well may show the map, although one alone does not prove it.
 PROMISING = 5.0

@@ -10,7 +10,7 @@ from pipelines.geometry.camera import Intrinsics
 from pipelines.localize.camera_faults import FAULTS, FIRST_LOG_ODDS, MOST_LOG_ODDS, CameraFaults
 from pipelines.localize.observation import Observation, Observations
 from pipelines.localize.places import COMPRESSED
-from tests.drive_samples import SCENE, TRUTH, drive, informed_settings, localizer
+from tests.drive_samples import SCENE, TRUTH, drive, localizer, mixture_settings
 from tests.report_samples import photo
 
 PINHOLE = Intrinsics(4, 3, 2.0, 2.0, 1.5, 1.0)
@@ -76,6 +76,6 @@ WAYS: dict[str, Callable[[ImageArray], ImageArray]] = {
 @pytest.mark.parametrize("fault", sorted(WAYS))
 def test_a_filter_whose_camera_is_faulty_does_not_claim_a_place(fault: str) -> None:
     images = [np.ascontiguousarray(WAYS[fault](photo(state))) for state in TRUTH]
-    records = drive(localizer(informed_settings(), 0, SCENE), images=images)
+    records = drive(localizer(mixture_settings(), 0, SCENE), images=images)
     assert "tracking" not in [record.status for record in records]
     assert max(record.confidence for record in records) < 0.5

@@ -17,8 +17,8 @@ from tests.chain_samples import ELEVATORS, map_elevators
 from tests.drive_samples import (
     TRUTH,
     drive,
-    informed_settings,
     localizer,
+    mixture_settings,
     position_error,
 )
 from tests.report_samples import photo, smooth
@@ -75,7 +75,7 @@ def test_the_wall_is_not_found_in_images_of_something_else(change: Change) -> No
     images = [change(photo(state), number) for number, state in enumerate(TRUTH)]
     confidences = []
     for seed in range(2):
-        records = drive(localizer(informed_settings(), seed), images=images)
+        records = drive(localizer(mixture_settings(), seed), images=images)
         assert "tracking" not in {record.status for record in records}, stated(records)
         confidences += [record.confidence for record in records]
         # It says that it is lost, or still searching where one image fits some place.
@@ -93,7 +93,7 @@ def test_another_painting_is_not_taken_for_this_one() -> None:
     for paint in (other, smooth):
         images = [photo(state, paint=paint) for state in TRUTH]
         for seed in range(2):
-            records = drive(localizer(informed_settings(), seed), images=images)
+            records = drive(localizer(mixture_settings(), seed), images=images)
             assert "tracking" not in {record.status for record in records}, stated(records)
 
 
@@ -104,7 +104,7 @@ def test_a_robot_that_was_followed_is_lost_when_images_show_something_else(
     images = [photo(state) for state in TRUTH[:4]]
     images += [change(photo(state), number) for number, state in enumerate(TRUTH[4:])]
     for seed in range(2):
-        records = drive(localizer(informed_settings(), seed), images=images)
+        records = drive(localizer(mixture_settings(), seed), images=images)
         assert records[3].status == "tracking", stated(records)
         # Odometry may carry it for an image or two, no longer.
         assert "tracking" not in {record.status for record in records[6:]}, stated(records)
@@ -127,8 +127,8 @@ def test_the_wall_is_found_in_another_light_as_in_its_own() -> None:
     changed = [lit(image, number) for number, image in enumerate(images)]
     assert np.abs(np.array(changed).astype(float) - np.array(images)).mean() > 15.0
     for seed in range(2):
-        plain = drive(localizer(informed_settings(), seed), images=images)
-        records = drive(localizer(informed_settings(), seed), images=changed)
+        plain = drive(localizer(mixture_settings(), seed), images=images)
+        records = drive(localizer(mixture_settings(), seed), images=changed)
         found = [record.status for record in records].index("tracking")
         assert found <= 2, stated(records)
         assert {record.status for record in records[found:]} == {"tracking"}, stated(records)

@@ -18,9 +18,8 @@ from pipelines.localize.estimate import mean_state, state_covariance
 from pipelines.localize.likelihood import Likelihood
 from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.mixture_mcl import Informed
-from pipelines.localize.motion import MotionModel
 from pipelines.localize.observation import Observation, Observations
-from pipelines.localize.settings import LocalizerSettings
+from pipelines.localize.settings import LocalizerSettings, MotionModel
 from pipelines.localize.state_space import PLANAR
 from pipelines.localize.strategies import CoarseToFine, Condensation, Strategy, start_belief
 from pipelines.render.choices import Channels, Cost
@@ -62,7 +61,7 @@ class Told(MeasurementModel):
         return self.rule(states)
 
     def evidence(
-        self, states: FloatArray, observation: Observation, one_pixel_in: int = 1
+        self, states: FloatArray, observation: Observation, pixel_subsampling: int = 1
     ) -> FloatArray:
         # Whatever is seen, it is of the map.
         return np.full(len(states), 20.0)

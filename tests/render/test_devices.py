@@ -163,7 +163,7 @@ def test_rendering_on_the_card_from_the_shell(gpu: Any, scene_path: Path, tmp_pa
 
 def test_localizing_on_the_card(gpu: Any, scene_path: Path, tmp_path: Path) -> None:
     data = first_frames(ELEVATORS / "test", tmp_path / "data", 3)
-    command: list[str | Path] = ["localize", scene_path, data, "--quiet", "--init", "-1.7,-3.2,90"]
+    command: list[str | Path] = ["localize", scene_path, data, "--quiet", "--start", "-1.7,-3.2,90"]
     command += ["--particles", "60", "--start-particles", "60"]
     runs = {}
     for name, device in (("a", "gpu"), ("b", "gpu"), ("c", "cpu"), ("d", "auto")):
@@ -187,7 +187,7 @@ def test_docking_hands_the_device_on(scene_path: Path, monkeypatch: pytest.Monke
     from pipelines.dock import stage
 
     def dock_robot(*arguments: Any, **_: Any) -> Any:
-        raise OptionError(f"asked for {arguments[5].device}")
+        raise OptionError(f"asked for {arguments[0].filter_settings.device}")
 
     monkeypatch.setattr(stage, "dock_robot", dock_robot)
     command: list[str | Path] = ["dock", scene_path, "--robot", f"model:{scene_path}"]
