@@ -31,7 +31,7 @@ SEED := 0
 # One process a processor, which keeps to it (tests/conftest.py); files stay whole for what their tests share.
 TEST_WORKERS = -n $(shell nproc 2>/dev/null || getconf _NPROCESSORS_ONLN) --dist loadfile
 
-.PHONY: help install demo demo-sfm demo-dock test test-slow test-lowest test-sanitized lint lint-style lint-types lint-core format wheel bench bench-against clean
+.PHONY: help install demo demo-sfm demo-dock test test-slow test-lowest test-sanitized lint lint-style lint-types lint-core format wheel bench bench-against docs-settings clean
 
 help:
 	@echo "make install      a virtual environment in $(VENV) with lfnav in it"
@@ -44,6 +44,7 @@ help:
 	@echo "make wheel        a wheel for this machine -> dist/, tried in an empty environment"
 	@echo "make bench        measures particles, frames, views, starting, memory, the graphics card"
 	@echo "make bench-against REVISION=...  particles, views, alignments, depth maps beside an older revision"
+	@echo "make docs-settings  docs/settings.md from the definitions of the settings"
 	@echo "make clean        removes out/ and caches; $(VENV) stays"
 
 # ---------------------------------------------------------------------------- installation
@@ -152,6 +153,10 @@ bench: $(STAMP)
 # Beside an older revision, by default the last one with numba: make bench-against REVISION=v1.2
 bench-against: $(STAMP)
 	$(VENV_PYTHON) -m benchmarks.against $(REVISION)
+
+# All settings, their names, ranges and defaults, from where they are defined.
+docs-settings: $(STAMP)
+	$(VENV_PYTHON) -m pipelines.dock.settings_page docs/settings.md
 
 clean:
 	rm -rf out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

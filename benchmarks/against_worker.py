@@ -14,8 +14,9 @@ import importlib.util
 import json
 import sys
 import time
+import types
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import cv2
@@ -23,17 +24,23 @@ import numpy as np
 
 # Where these modules were in older revisions.
 BEFORE = {
-    "pipelines.artifacts.stages": "pipelines.artifacts.stages",
-    "pipelines.lightfield.scene_file": "pipelines.lightfield.scene_file",
-    "pipelines.lightfield.stereo_depth": "pipelines.lightfield.stereo_depth",
-    "pipelines.localize.alignment": "pipelines.localize.alignment",
-    "pipelines.render.blending": "pipelines.render.blending",
-    "pipelines.render.devices": "pipelines.render.devices",
-    "pipelines.render.renderer": "pipelines.render.renderer",
-    "pipelines.render.surface": "pipelines.render.surface",
+    "pipelines.artifacts.stages": "pipelines.artifacts.progress",
+    "pipelines.lightfield.scene_file": "pipelines.lightfield.bundle",
+    "pipelines.lightfield.stereo_depth": "pipelines.lightfield.depth",
+    "pipelines.localize.alignment": "pipelines.localize.refinement",
+    "pipelines.render.blending": "pipelines.lightfield.blending",
+    "pipelines.render.devices": "pipelines.lightfield.devices",
+    "pipelines.render.renderer": "pipelines.lightfield.renderer",
+    "pipelines.render.surface": "pipelines.lightfield.proxy",
 }
-if importlib.util.find_spec("pipelines.render") is None:
+is_old = importlib.util.find_spec("pipelines.render") is None
+if is_old:
     sys.modules |= {name: importlib.import_module(before) for name, before in BEFORE.items()}
+if is_old or importlib.util.find_spec("pipelines.render.choices") is None:
+    choices = types.ModuleType("pipelines.render.choices")
+    for module, name in (("blending", "Blending"), ("surface", "Quality")):
+        setattr(choices, name, getattr(importlib.import_module(f"pipelines.render.{module}"), name))
+    sys.modules[choices.__name__] = choices
 
 from pipelines.artifacts.stages import no_progress  # noqa: E402
 from pipelines.dataset.dataset import load_dataset  # noqa: E402
@@ -50,14 +57,15 @@ from pipelines.localize.observation import Observation, Observer  # noqa: E402
 from pipelines.localize.settings import LocalizerSettings  # noqa: E402
 from pipelines.localize.state_space import PLANAR  # noqa: E402
 from pipelines.reconstruct.reconstruction import load_reconstruction, with_images  # noqa: E402
-from pipelines.render.blending import Blending  # noqa: E402
+from pipelines.render.choices import Blending, Quality  # noqa: E402
 from pipelines.render.devices import Device  # noqa: E402
 from pipelines.render.renderer import Renderer  # noqa: E402
-from pipelines.render.surface import Quality  # noqa: E402
 
 # What this function was called in older revisions.
 align_state = vars(alignment).get("align") or vars(alignment)["refine"]
 
+# As a setting of the likelihood, the fourth, is called.
+SUBSAMPLING = fields(LIKELIHOODS["evidence"])[3].name
 # The camera image, and where particles stand around it: metres and radians.
 FRAME, SPREAD, PARTICLES = 8, (0.1, 0.1, 0.05), 195
 WIDTHS = (40, 80, 160)
@@ -122,7 +130,7 @@ class Side:
     @functools.cache  # noqa: B019
     def _model(self, scene: str, blending: Blending, width: int, one_in: int) -> MeasurementModel:
         settings = LocalizerSettings(
-            likelihood=replace(LIKELIHOODS["evidence"], one_pixel_in=one_in),
+            likelihood=replace(LIKELIHOODS["evidence"], **{SUBSAMPLING: one_in}),  # type: ignore[arg-type]
             coarse_width=min(WIDTHS),
             fine_width=width,
             refine_width=0,

@@ -25,10 +25,9 @@ from benchmarks.torch_path import is_installed, torch_costs, torch_work
 from benchmarks.work import Work, every_other, work_of
 from pipelines.artifacts.arrays import FloatArray
 from pipelines.lightfield.scene import Scene
-from pipelines.localize.likelihood import ONE_PIXEL_IN
+from pipelines.localize.likelihood import PIXEL_SUBSAMPLING
 from pipelines.localize.observation import Observation
-from pipelines.render.blending import Blending
-from pipelines.render.comparison import Cost
+from pipelines.render.choices import Blending, Cost
 from pipelines.render.reference import render_reference
 from pipelines.render.renderer import Renderer
 
@@ -42,7 +41,7 @@ TORCH = "PyTorch grid_sample"
 LIMIT = "the limit: reads and multiplications"
 
 
-def fused(blending: Blending, views: int = 3, one_in: int = ONE_PIXEL_IN) -> str:
+def fused(blending: Blending, views: int = 3, one_in: int = PIXEL_SUBSAMPLING) -> str:
     """How the tables call the fused path."""
     pixels = "all pixels" if one_in == 1 else f"one pixel in {one_in}"
     return f"lfnav, {blending.name.lower()}, {views} views, {pixels}"
@@ -61,7 +60,7 @@ def measure_size(scene: Scene, width: int, height: int, particles: int) -> dict[
     for views in (work.scene, scene):
         for blending in Blending:
             renderer = Renderer.of_scene(views, 2 * width, blending, threads=1)
-            for one_in in (1, ONE_PIXEL_IN):
+            for one_in in (1, PIXEL_SUBSAMPLING):
                 name = fused(blending, len(views), one_in)
                 tasks[name] = partial(fused_costs, renderer, work, one_in)
     for channels, name in OPENCV.items():
@@ -145,8 +144,8 @@ def measure(scene: Scene) -> dict[str, Any]:
     cpu = {s: {n: round(1e6 * t.cpu, 2) for n, t in row.items()} for s, row in times.items()}
     wall = {s: {n: round(1e6 * t.wall, 2) for n, t in row.items()} for s, row in times.items()}
     return {
-        "ratio_to_opencv": ratios(cpu, Blending.DELAUNAY, ONE_PIXEL_IN),
-        "ratio_to_opencv_unstructured": ratios(cpu, Blending.UNSTRUCTURED, ONE_PIXEL_IN),
+        "ratio_to_opencv": ratios(cpu, Blending.DELAUNAY, PIXEL_SUBSAMPLING),
+        "ratio_to_opencv_unstructured": ratios(cpu, Blending.UNSTRUCTURED, PIXEL_SUBSAMPLING),
         "ratio_to_opencv_all_pixels": ratios(cpu, Blending.DELAUNAY, 1),
         "ratio_to_opencv_all_pixels_unstructured": ratios(cpu, Blending.UNSTRUCTURED, 1),
         "ratio_to_opencv_of_a_quarter": {

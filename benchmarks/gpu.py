@@ -20,11 +20,10 @@ from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import plane_inverse_depth
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.views import views_of_scene
-from pipelines.render.blending import Blending, unstructured_weights
-from pipelines.render.comparison import Cost
+from pipelines.render.blending import unstructured_weights
+from pipelines.render.choices import Blending, Cost, Quality
 from pipelines.render.devices import Device, chosen_gpu
 from pipelines.render.renderer import Renderer
-from pipelines.render.surface import Quality
 from pipelines.render.view_mapping import ViewMapping
 
 if TYPE_CHECKING:

@@ -29,8 +29,8 @@ from pipelines.lightfield.size_budget import LOCALIZE_SIDE
 from pipelines.lightfield.stage import ModelSettings, build_scene
 from pipelines.lightfield.views import views_of_scene
 from pipelines.reconstruct.reconstruction import load_reconstruction, with_images
+from pipelines.render.choices import Quality
 from pipelines.render.renderer import Renderer
-from pipelines.render.surface import Quality
 
 RECONSTRUCTION, MANY, DEEP, LOBBY = "reconstruction", "many.h5", "deep.h5", "lobby.h5"
 MANY_VIEWS = 100

@@ -7,8 +7,8 @@ from benchmarks.scenes import with_wall_as_depth
 from benchmarks.timing import median_times, timing_table
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.views import views_of_scene
+from pipelines.render.choices import Quality
 from pipelines.render.renderer import Renderer
-from pipelines.render.surface import Quality
 
 WIDTH, HEIGHT = 640, 480
 TURNS = 7

@@ -17,13 +17,13 @@ from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.processes import processor_count
 from pipelines.dataset.dataset import load_dataset
 from pipelines.lightfield.scene import Scene
-from pipelines.localize.likelihood import LIKELIHOODS, ONE_PIXEL_IN
+from pipelines.localize.likelihood import LIKELIHOODS, PIXEL_SUBSAMPLING
 from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.observation import Observation, Observer
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import PLANAR
+from pipelines.render.choices import Quality
 from pipelines.render.devices import Device
-from pipelines.render.surface import Quality
 
 FRAME = 8
 # Particles stand so far apart, standard deviations in metres and radians.
@@ -62,11 +62,11 @@ def model_of(
     width: int,
     threads: int | None,
     quality: Quality = Quality.PLANE,
-    one_in: int = ONE_PIXEL_IN,
+    one_in: int = PIXEL_SUBSAMPLING,
 ) -> MeasurementModel:
     """What the filter scores particles with, for comparisons of some width."""
     settings = LocalizerSettings(
-        likelihood=replace(LIKELIHOODS["evidence"], one_pixel_in=one_in),
+        likelihood=replace(LIKELIHOODS["evidence"], pixel_subsampling=one_in),
         coarse_width=min(WIDTHS),
         fine_width=width,
         refine_width=0,
@@ -141,7 +141,7 @@ def by_particles(scene: Scene) -> dict[str, Timing]:
 def measure(scene: Scene) -> dict[str, Any]:
     """All of it; plain JSON types, microseconds a particle."""
     sizes, particles = by_size(scene), by_particles(scene)
-    views, views_whole = by_views(scene, ONE_PIXEL_IN), by_views(scene, 1)
+    views, views_whole = by_views(scene, PIXEL_SUBSAMPLING), by_views(scene, 1)
     return {
         "depth_to_plane": _depth_to_plane(sizes, ""),
         "depth_to_plane_all_pixels": _depth_to_plane(sizes, ALL_PIXELS),

@@ -16,7 +16,7 @@ from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.pose import BASE_FROM_FORWARD_CAMERA, inverse, pose_from_rotation
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.views import Views
-from pipelines.render.blending import Blending
+from pipelines.render.choices import Blending
 from pipelines.render.delaunay_mesh import pixel_weights
 from pipelines.render.renderer import Renderer
 

@@ -33,7 +33,7 @@ from pipelines.dock.robots.choice import RobotOptions
 from pipelines.dock.robots.noise import MotionNoise
 from pipelines.dock.robots.simulator import PathTracing
 from pipelines.dock.settings import DockSettings
-from pipelines.dock.stage import DockSummary, dock_robot
+from pipelines.dock.stage import DockRequest, DockSummary, dock_robot
 from pipelines.lightfield.scene_file import load_scene
 from pipelines.localize.settings import LocalizerSettings
 
@@ -216,18 +216,16 @@ def result_of(inputs: Inputs, task: Task) -> dict[str, Any]:
         before: dict[str, Any] = json.loads(record.read_text(encoding="utf-8"))
         if before["made_with"] == made_with:
             return before
-    summary = dock_robot(
+    request = DockRequest(
         inputs.scene,
         task.robot,
         Goal(pose=row.place.goal),
-        path,
-        row.settings,
         LocalizerSettings(threads=inputs.threads),
+        row.settings,
         options,
         seed=number,
-        overwrite=True,
-        listener=_silent,
     )
+    summary = dock_robot(request, path, overwrite=True, listener=_silent)
     result = {
         "made_with": made_with,
         "nearest_m": nearest(row.place, summary),

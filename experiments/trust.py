@@ -13,6 +13,7 @@ from pathlib import Path
 
 from pipelines.artifacts.errors import LfnavError, OptionError
 from pipelines.artifacts.stages import no_progress
+from pipelines.experiments.trust_conditions import read_trust_conditions
 from pipelines.experiments.trust_stage import TABLE, study_trust
 
 
@@ -33,15 +34,14 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--workers", type=int, default=1, help="processes")
     options = parser.parse_args(arguments)
     try:
-        chosen = study_trust(
+        chosen = read_trust_conditions(
             options.conditions,
-            options.output,
             data=options.data,
             scenes=_scenes(options.scene),
             seeds=options.seeds,
-            workers=options.workers,
-            overwrite=True,
-            progress=no_progress,
+        )
+        study_trust(
+            chosen, options.output, workers=options.workers, overwrite=True, progress=no_progress
         )
     except LfnavError as error:
         print(f"trust.py: {error}", file=sys.stderr)

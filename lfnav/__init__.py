@@ -52,14 +52,16 @@ if TYPE_CHECKING:
     from pipelines.localize.likelihood import likelihood_named as likelihood_named
     from pipelines.localize.localizer import Localizer as Localizer
     from pipelines.localize.measurement_model import MeasurementModel as MeasurementModel
-    from pipelines.localize.motion import MotionModel as MotionModel
     from pipelines.localize.observation import Observer as Observer
     from pipelines.localize.run import FrameRecord as FrameRecord
     from pipelines.localize.run import Run as Run
     from pipelines.localize.run import load_run as load_run
     from pipelines.localize.run import save_run as save_run
     from pipelines.localize.settings import LocalizerSettings as LocalizerSettings
+    from pipelines.localize.settings import MotionModel as MotionModel
     from pipelines.localize.settings import strategy_defaults as strategy_defaults
+    from pipelines.localize.stage import LocalizeRequest as LocalizeRequest
+    from pipelines.localize.stage import RunOrigin as RunOrigin
     from pipelines.localize.stage import localize as localize
     from pipelines.localize.stage import localize_dataset as localize_dataset
     from pipelines.localize.state_space import PLANAR as PLANAR
@@ -71,18 +73,18 @@ if TYPE_CHECKING:
     from pipelines.reconstruct.reconstruction import load_reconstruction as load_reconstruction
     from pipelines.reconstruct.settings import ReconstructSettings as ReconstructSettings
     from pipelines.reconstruct.stage import reconstruct as reconstruct
-    from pipelines.render.blending import Blending as Blending
+    from pipelines.render.choices import Blending as Blending
+    from pipelines.render.choices import Quality as Quality
     from pipelines.render.devices import Device as Device
     from pipelines.render.renderer import Renderer as Renderer
     from pipelines.render.renderer import Rendering as Rendering
     from pipelines.render.renderer_choice import renderer_of_scene as renderer_of_scene
-    from pipelines.render.surface import Quality as Quality
     from pipelines.report.stage import ReportSettings as ReportSettings
     from pipelines.report.stage import report as report
 
 # Name -> the module that it comes from; the imports above say the same to type checkers.
 _HOMES = {
-    "Blending": "pipelines.render.blending",
+    "Blending": "pipelines.render.choices",
     "Camera": "pipelines.geometry.camera",
     "Dataset": "pipelines.dataset.dataset",
     "Device": "pipelines.render.devices",
@@ -94,11 +96,12 @@ _HOMES = {
     "Intrinsics": "pipelines.geometry.camera",
     "LfnavError": "pipelines.artifacts.errors",
     "Likelihood": "pipelines.localize.likelihood",
+    "LocalizeRequest": "pipelines.localize.stage",
     "Localizer": "pipelines.localize.localizer",
     "LocalizerSettings": "pipelines.localize.settings",
     "MeasurementModel": "pipelines.localize.measurement_model",
     "ModelSettings": "pipelines.lightfield.stage",
-    "MotionModel": "pipelines.localize.motion",
+    "MotionModel": "pipelines.localize.settings",
     "MotionNoise": "pipelines.dock.robots.noise",
     "Observer": "pipelines.localize.observation",
     "OptionError": "pipelines.artifacts.errors",
@@ -107,7 +110,7 @@ _HOMES = {
     "PLANAR": "pipelines.localize.state_space",
     "Plane": "pipelines.geometry.plane",
     "Progress": "pipelines.artifacts.stages",
-    "Quality": "pipelines.render.surface",
+    "Quality": "pipelines.render.choices",
     "ReconstructSettings": "pipelines.reconstruct.settings",
     "Reconstruction": "pipelines.reconstruct.reconstruction",
     "Renderer": "pipelines.render.renderer",
@@ -118,6 +121,7 @@ _HOMES = {
     "RobotOptions": "pipelines.dock.robots.choice",
     "Run": "pipelines.localize.run",
     "RunEvaluation": "pipelines.localize.evaluation",
+    "RunOrigin": "pipelines.localize.stage",
     "SPATIAL": "pipelines.localize.state_space",
     "Scene": "pipelines.lightfield.scene",
     "SensorNoise": "pipelines.dock.robots.noise",

@@ -119,25 +119,18 @@ blending_option = click.option(
 )
 
 
-def device_option(default: str | None = "cpu") -> Callable[[Decorated], Decorated]:
-    """``--device``; ``default`` None: whatever the config says."""
-    return click.option(
-        "--device",
-        type=click.Choice(["auto", "cpu", "gpu"]),
-        default=default,
-        help="Where views are rendered and compared: on the CPU (the default), on a graphics card, "
-        'or (auto) on a card where there is one. A card needs pip install "lfnav[gpu]".',
-    )
-
-
-def quality_option(default: str) -> Callable[[Decorated], Decorated]:
-    """``--quality``; ``default`` is what the stage takes for a scene that has depth maps."""
-    return click.option(
-        "--quality",
-        type=click.Choice(["plane", "coarse", "medium", "fine"]),
-        help="How finely the surface follows the depth maps. "
-        f"Default: {default}; plane without them.",
-    )
+device_option = click.option(
+    "--device",
+    type=click.Choice(["auto", "cpu", "gpu"]),
+    default="cpu",
+    help="Where views are rendered: on the CPU (the default), on a graphics card, or (auto) on a "
+    'card where there is one. A card needs pip install "lfnav[gpu]".',
+)
+quality_option = click.option(
+    "--quality",
+    type=click.Choice(["plane", "coarse", "medium", "fine"]),
+    help="How finely the surface follows the depth maps. Default: fine; plane without them.",
+)
 
 
 def make_progress(quiet: bool) -> "Progress":

@@ -2,20 +2,28 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from lfnav_cli.common import (
     common_options,
-    device_option,
     json_option,
     overwrite_option,
     parse_numbers,
     print_summary,
 )
+from lfnav_cli.setting_options import (
+    SettingsCommand,
+    config_options,
+    dock_entries,
+    missing,
+    setting_options,
+)
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from pipelines.artifacts.stages import Progress
     from pipelines.dock.dock import Report
 
@@ -45,11 +53,10 @@ def parse_fault(
     return kind, int(step)
 
 
-@click.command("dock")
-@click.argument("scene", metavar="SCENE.h5", type=click.Path(path_type=Path))
+@click.command("dock", cls=SettingsCommand)
+@click.argument("scene", metavar="SCENE.h5", required=False, type=click.Path(path_type=Path))
 @click.option(
     "--robot",
-    required=True,
     metavar="NAME",
     help="model:SCENE.h5, sim:SCENE.xml, replay:DATASET, or your own as package.module:Class.",
 )
@@ -66,69 +73,7 @@ def parse_fault(
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), help="Run file to write; not for --dry-run."
 )
-@click.option(
-    "--drive",
-    type=click.Choice(["omni", "diff"]),
-    default="omni",
-    show_default=True,
-    help="omni: any direction at any time. diff: turns on the spot and arcs.",
-)
-@click.option(
-    "--start",
-    metavar="X,Y,DEG",
-    callback=parse_state,
-    help="Roughly where the robot stands. Default: anywhere in the area.",
-)
-@click.option(
-    "--area",
-    metavar="XMIN,XMAX,YMIN,YMAX",
-    callback=parse_numbers(4, "XMIN,XMAX,YMIN,YMAX"),
-    help="The robot must not leave it, metres. Default: the area that the model covers.",
-)
-@click.option("--largest-step", type=float, default=0.4, show_default=True, help="Metres.")
-@click.option("--largest-turn", type=float, default=40.0, show_default=True, help="Degrees.")
-@click.option(
-    "--robot-radius",
-    type=float,
-    default=0.0,
-    metavar="METRES",
-    help="Of the circle that the robot fills on the floor, for narrow places.",
-)
-@click.option(
-    "--least-distance",
-    type=float,
-    metavar="METRES",
-    help="Of the robot's middle from the scene's surface. Default: the robot's radius and 0.05, or "
-    "0.5 where no radius is given.",
-)
-@click.option(
-    "--staging-distance",
-    type=float,
-    default=0.8,
-    show_default=True,
-    help="The last approach begins so many metres straight behind the goal. Where the goal lies "
-    "behind a door: before the door.",
-)
-@click.option("--max-steps", type=int, default=120, show_default=True, help="Then it gives up.")
-@click.option("--max-seconds", type=float, default=1800.0, show_default=True, help="Likewise.")
-@click.option(
-    "--patience",
-    type=float,
-    default=10.0,
-    show_default=True,
-    metavar="SECONDS",
-    help="It stands still so long when somebody covers the view.",
-)
-@click.option(
-    "--position-tolerance",
-    type=float,
-    default=0.01,
-    show_default=True,
-    help="Metres from the goal, by the estimate, at which it is docked.",
-)
-@click.option(
-    "--heading-tolerance", type=float, default=0.4, show_default=True, help="Degrees likewise."
-)
+@config_options
 @click.option(
     "--mask",
     type=click.Path(path_type=Path),
@@ -136,8 +81,6 @@ def parse_fault(
     help="8-bit grey PNG of the size of the robot's camera: 0 where its images are not to be used "
     "(the robot's bumper).",
 )
-@click.option("--threads", type=int, help="Of the filter. Default: all processors.")
-@device_option()
 @click.option("--seed", type=int, default=0, show_default=True, help="Random seed.")
 @click.option(
     "--dry-run",
@@ -216,29 +159,17 @@ def parse_fault(
 @overwrite_option
 @json_option
 @common_options
+@setting_options(dock_entries())
 def command(
-    scene: Path,
-    robot: str,
+    scene: Path | None,
+    robot: str | None,
     goal: tuple[float, float, float] | None,
     goal_view: int | None,
     goal_image: Path | None,
     output: Path | None,
-    drive: str,
-    start: tuple[float, float, float] | None,
-    area: tuple[float, float, float, float] | None,
-    largest_step: float,
-    largest_turn: float,
-    robot_radius: float,
-    least_distance: float | None,
-    staging_distance: float,
-    max_steps: int,
-    max_seconds: float,
-    patience: float,
-    position_tolerance: float,
-    heading_tolerance: float,
+    config: Path | None,
+    print_config: bool,
     mask: Path | None,
-    threads: int | None,
-    device: str,
     seed: int,
     is_dry: bool,
     true_start: tuple[float, float, float] | None,
@@ -252,6 +183,7 @@ def command(
     samples: int,
     variant: str,
     fault: tuple[str, int] | None,
+    chosen: "Mapping[str, Any]",
     overwrite: bool,
     as_json: bool,
     progress: "Progress",
@@ -263,15 +195,31 @@ def command(
     the allowed area, 13 timed out, 14 robot failed, 15 view blocked, 130 interrupted; the robot is
     stopped and the run is saved in every case.
 
+    Every setting of a config file is an option of the same name, those of lfnav localize among
+    them; those not listed here are printed by --print-config and explained in docs/settings.md.
+
     \b
     Example:
       lfnav dock scene.h5 --robot my_robot:Robot --dry-run
       lfnav dock scene.h5 --robot my_robot:Robot --goal -1.15,-1.65,90 -o dock.h5
       lfnav dock scene.h5 --robot sim:sample_data/elevators/scene/scene.xml --goal-view 3 -o dock.h5
     """
+    from pipelines.dock.config import effective_settings, settings_text
+
+    both = effective_settings(config, chosen)
+    if print_config:
+        click.echo(settings_text(both), nl=False)
+        return 0
+    if scene is None or robot is None:
+        raise missing({"scene": scene, "robot": robot})
+    if output is None and not is_dry:
+        raise click.UsageError("give the run file with -o, or --dry-run")
+
+    from pipelines.dock.goals import Goal
     from pipelines.dock.robots.choice import RobotOptions
     from pipelines.dock.robots.noise import MotionNoise, SensorNoise
     from pipelines.dock.robots.simulator import PathTracing
+    from pipelines.dock.stage import DockRequest, dock_robot, dry_run
 
     options = RobotOptions(
         true_start=true_start,
@@ -289,50 +237,24 @@ def command(
         tracing=PathTracing(samples, variant=variant),
         fault=fault,
     )
-    if output is None and not is_dry:
-        raise click.UsageError("give the run file with -o, or --dry-run")
-
-    from pipelines.dock.goals import Goal
-    from pipelines.dock.settings import DockSettings
-    from pipelines.dock.stage import dock_robot, dry_run
-    from pipelines.localize.settings import LocalizerSettings
-    from pipelines.render.devices import Device
-
-    settings = DockSettings(
-        drive=drive,
-        start=start,
-        area=area,
-        largest_step=largest_step,
-        largest_turn=math.radians(largest_turn),
-        robot_radius=robot_radius,
-        least_distance=least_distance,
-        staging_distance=staging_distance,
-        max_steps=max_steps,
-        max_seconds=max_seconds,
-        patience=patience,
-        position_tolerance=position_tolerance,
-        heading_tolerance=math.radians(heading_tolerance),
-    )
-    filter_settings = LocalizerSettings(threads=threads, device=Device(device))
-    if output is None or is_dry:
-        named = [goal, goal_view, goal_image].count(None) < 3
-        place = Goal(goal, goal_view, goal_image) if named else None
-        looked = dry_run(scene, robot, place, settings, filter_settings, options, seed, mask)
-        print_summary(looked, as_json)
-        return looked.exit_code
-    summary = dock_robot(
-        scene,
-        robot,
-        Goal(goal, goal_view, goal_image),
-        output,
-        settings,
-        filter_settings,
-        options,
+    has_goal = [goal, goal_view, goal_image].count(None) < 3
+    request = DockRequest(
+        scene=scene,
+        robot=robot,
+        # Only a robot that is to move needs one.
+        goal=Goal(goal, goal_view, goal_image) if has_goal or not is_dry else None,
+        filter_settings=both[0],
+        settings=both[1],
+        robot_options=options,
         seed=seed,
-        overwrite=overwrite,
-        listener=_silent if _is_quiet() else _print_step,
         mask=mask,
     )
+    if output is None or is_dry:
+        looked = dry_run(request)
+        print_summary(looked, as_json)
+        return looked.exit_code
+    listener = _silent if _is_quiet() else _print_step
+    summary = dock_robot(request, output, overwrite=overwrite, listener=listener)
     print_summary(summary, as_json)
     if _is_quiet() and summary.exit_code != 0:
         outcome = summary.docking.outcome

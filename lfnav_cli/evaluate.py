@@ -120,7 +120,7 @@ def _evaluate_scene(
     *,
     interior: bool,
 ) -> "Summary":
-    from pipelines.render.blending import Blending
+    from pipelines.render.choices import Blending
     from pipelines.render.evaluation import evaluate_scene
 
     rule = Blending[blending.upper()]

@@ -43,9 +43,9 @@ if TYPE_CHECKING:
 )
 @click.option("--width", type=int, help="Pixels across. Default: as recorded.")
 @blending_option
-@quality_option("fine")
+@quality_option
 @click.option("--fps", type=float, default=10.0, show_default=True, help="Of a video.")
-@device_option()
+@device_option
 @overwrite_option
 @json_option
 @common_options
@@ -72,7 +72,7 @@ def command(
     """
     if (pose is None) == (poses is None):
         raise click.UsageError("give either --pose or --poses")
-    from pipelines.render.blending import Blending
+    from pipelines.render.choices import Blending
     from pipelines.render.devices import Device
     from pipelines.render.stage import RenderSettings, render
 

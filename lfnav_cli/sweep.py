@@ -1,17 +1,20 @@
 """``lfnav sweep``: many runs, one table."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from lfnav_cli.common import common_options, json_option, overwrite_option, print_summary
+from lfnav_cli.setting_options import SettingsCommand, localizer_entries, setting_options
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from pipelines.artifacts.stages import Progress
 
 
-@click.command("sweep")
+@click.command("sweep", cls=SettingsCommand)
 @click.argument("config", metavar="CONFIG.toml", type=click.Path(path_type=Path))
 @click.option(
     "-o",
@@ -36,12 +39,14 @@ if TYPE_CHECKING:
 @overwrite_option
 @json_option
 @common_options
+@setting_options(localizer_entries())
 def command(
     config: Path,
     output: Path,
     seeds: str | None,
     scheduler: str | None,
     processes: int | None,
+    chosen: "Mapping[str, Any]",
     overwrite: bool,
     as_json: bool,
     progress: "Progress",
@@ -55,6 +60,9 @@ def command(
     Finished runs are kept in DIR/runs: after Ctrl-C the same command goes on where it
     stopped, and with more seeds or settings it makes what is missing; with --overwrite everything
     anew. A run that breaks is reported and does not stop the others.
+
+    Every setting of a config file is an option of the same name, for all runs; those not listed
+    here are explained in docs/settings.md.
 
     \b
     Example:
@@ -70,6 +78,7 @@ def command(
         seeds=seeds,
         scheduler=scheduler,
         processes=processes,
+        options=chosen,
         overwrite=overwrite,
         progress=progress,
     )

@@ -151,14 +151,16 @@ def docked(
     settings: DockSettings,
     goal: FloatArray = GOAL,
     listener: Callable[[Report], None] = lambda report: None,
+    **changes: Any,
 ) -> tuple[Docking, Run]:
-    """The docking of a robot in front of the wall, and its run."""
+    """The docking of a robot in front of the wall, and its run; ``changes`` are of the filter."""
+    filter_settings = replace(FILTER, **{"start": tuple(START), **changes})
     checked = CheckedRobot(robot)
     rng = np.random.default_rng(1)
-    equipment = equipment_of(wall_scene(), checked, goal, settings, FILTER, rng)
+    equipment = equipment_of(wall_scene(), checked, goal, settings, filter_settings, rng)
     docking = dock(equipment, listener)
     origin = Origin(wall_scene().identifier, "scene.h5", "painted", 1)
-    run = run_of(docking, checked, FILTER, settings, origin)
+    run = run_of(docking, checked, filter_settings, settings, origin)
     if run is None:
         raise ValueError("not a single image was taken")
     return docking, run

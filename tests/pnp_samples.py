@@ -10,7 +10,8 @@ from pipelines.dataset.dataset import PAIRING_TOLERANCE, Dataset, load_dataset
 from pipelines.geometry.plane import Plane
 from pipelines.lightfield.scene import PlaneEstimate, Scene
 from pipelines.lightfield.scene_file import identifier_of
-from pipelines.localize.pnp import PnpLocalizer
+from pipelines.localize.landmarks import LandmarkSource
+from pipelines.localize.pnp import MountedCamera, PnpLocalizer
 from pipelines.localize.state_space import PLANAR, StateSpace
 
 WORKSHOP = Path(__file__).parents[1] / "sample_data" / "workshop"
@@ -60,13 +61,10 @@ def workshop_finder(
     mount[2, 3] -= height
     return PnpLocalizer(
         scene,
-        SEQUENCE.camera,
-        mount,
+        LandmarkSource(scene, None),
+        MountedCamera(SEQUENCE.camera, mount, mask),
         space,
         seed=3,
         threads=threads,
-        reconstruction=None,
-        reconstruction_path="",
         progress=no_progress,
-        mask=mask,
     )

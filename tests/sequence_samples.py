@@ -28,7 +28,7 @@ SQUARED = likelihood_named("squared")
 PERIOD = 2.0 * np.pi
 
 
-def informed_settings(**changes: Any) -> LocalizerSettings:
+def mixture_settings(**changes: Any) -> LocalizerSettings:
     """A search that is small enough for a test."""
     small: dict[str, Any] = {
         "particles": 60,
@@ -44,7 +44,7 @@ def informed_settings(**changes: Any) -> LocalizerSettings:
 def search_settings(**changes: Any) -> LocalizerSettings:
     """The same by numbers alone, with the paper's comparison."""
     plain = {"strategy": "coarse_to_fine", "estimate": "mode", "likelihood": SQUARED}
-    return informed_settings(**{**plain, **changes})
+    return mixture_settings(**{**plain, **changes})
 
 
 def paper_settings(**changes: Any) -> LocalizerSettings:
@@ -55,7 +55,7 @@ def paper_settings(**changes: Any) -> LocalizerSettings:
         "estimate": "max_weight",
         "likelihood": SQUARED,
     }
-    return informed_settings(**{**paper, **changes})
+    return mixture_settings(**{**paper, **changes})
 
 
 def localizer(chosen: LocalizerSettings, seed: int = 0, scene: Scene = SCENE) -> Localizer:

@@ -186,14 +186,20 @@ def ramp_for_a_planar_map(place: Place) -> Refusal:
 def odometry_of_a_camera(place: Place) -> Refusal:
     named = place.data / "odometry.txt"
     named.write_text("".join(f"{0.5 * i} 0 0 {0.3 * i} 0 0 0 1\n" for i in range(10)))
-    return Refusal(place.localize(), named, r"to be of a camera .*moves along its z.*; .*--dof 6")
+    return Refusal(
+        place.localize(),
+        named,
+        r"to be of a camera .*moves along its z.*; .*--degrees-of-freedom 6",
+    )
 
 
 def odometry_up_a_ramp(place: Place) -> Refusal:
     named = place.data / "odometry.txt"
     lines = "".join(f"{0.5 * i} {i} 0 {0.3 * i} 0 -0.145 0 0.989\n" for i in range(10))
     named.write_text(lines)
-    return Refusal(place.localize(), named, r"is not of a robot on a floor: .*; give --dof 6")
+    return Refusal(
+        place.localize(), named, r"is not of a robot on a floor: .*; give --degrees-of-freedom 6"
+    )
 
 
 def no_odometry(place: Place) -> Refusal:
@@ -408,15 +414,15 @@ def no_groundtruth(place: Place) -> Refusal:
 
 
 def no_particles(place: Place) -> Refusal:
-    return Refusal(place.localize("--particles", "0"), None, "number of particles 0 is not")
+    return Refusal(place.localize("--particles", "0"), None, "particles 0 is not")
 
 
 def negative_particles(place: Place) -> Refusal:
-    return Refusal(place.localize("--particles", "-5"), None, "number of particles -5 is not")
+    return Refusal(place.localize("--particles", "-5"), None, "particles -5 is not")
 
 
 def no_start_particles(place: Place) -> Refusal:
-    return Refusal(place.localize("--start-particles", "0"), None, "particles at the start 0 is")
+    return Refusal(place.localize("--start-particles", "0"), None, "start_particles 0 is")
 
 
 def fewer_at_the_start(place: Place) -> Refusal:
@@ -437,11 +443,11 @@ def negative_seed(place: Place) -> Refusal:
 
 
 def no_width(place: Place) -> Refusal:
-    return Refusal(place.localize("--width", "0"), None, "fine width 0 is not")
+    return Refusal(place.localize("--fine-width", "0"), None, "fine_width 0 is not")
 
 
 def no_threads(place: Place) -> Refusal:
-    return Refusal(place.localize("--threads", "0"), None, "number of threads 0 is not")
+    return Refusal(place.localize("--threads", "0"), None, "threads 0 is not")
 
 
 def no_such_estimate(place: Place) -> Refusal:
@@ -558,7 +564,7 @@ def test_suspicious_odometry_is_said_and_kept(place: Place) -> None:
     assert said.startswith(f"{named}: {note}")
     assert note in succeed("info", place.output)
     # What the robot really is, is not asked of a camera that moves freely.
-    free = lfnav(*place.localize("--dof", "6", "--json", "--overwrite"))
+    free = lfnav(*place.localize("--degrees-of-freedom", "6", "--json", "--overwrite"))
     assert not any("odometry.txt" in said for said in json.loads(free.out)["notes"])
 
 

@@ -33,7 +33,7 @@ from pipelines.dataset.dataset import load_dataset
 from pipelines.geometry.plane import plane_from_coefficients
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_scene, save_scene
-from pipelines.render.blending import Blending
+from pipelines.render.choices import Blending
 from pipelines.render.renderer import Renderer
 
 if TYPE_CHECKING:

@@ -131,7 +131,7 @@ def check_fields(made: object) -> None:
     for name, wanted in _declared(cast("Hashable", type(made))).items():
         value = getattr(made, name)
         if not _is_of(value, wanted):
-            raise OptionError(f"{name.replace('_', ' ')} {quoted(value)} is not {_words(wanted)}")
+            raise OptionError(f"{name} {quoted(value)} is not {_words(wanted)}")
 
 
 @functools.cache

@@ -40,8 +40,9 @@ from pipelines.localize.localizer import Localizer
 from pipelines.localize.measurement_model import VIEW_RESOLUTION_FACTOR, MeasurementModel
 from pipelines.localize.run import BY_ODOMETRY, FrameRecord
 from pipelines.localize.settings import LocalizerSettings
+from pipelines.render.choices import Quality
 from pipelines.render.renderer_choice import renderer_of_scene
-from pipelines.render.surface import Quality, quality_named
+from pipelines.render.surface import quality_named
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,7 @@ def equipment_of(
         robot: the robot, checked.
         goal: ``(3,)`` x, y in metres and heading in radians.
         settings: the docking's settings.
-        filter_settings: the filter's settings; start and area come from ``settings`` instead.
+        filter_settings: the filter's settings; its area is one that the robot must not leave.
         rng: the filter's random numbers.
         mask: ``(height, width)``, True where images of the robot's camera are to be used; None:
             everywhere.
@@ -129,11 +130,11 @@ def equipment_of(
     """
     if filter_settings.state_space.angles != 1:
         raise OptionError("docking takes place on a floor: the filter needs 3 degrees of freedom")
-    x_min, x_max, y_min, y_max = settings.area or map(float, scene.bounds)
+    chosen = filter_settings
+    x_min, x_max, y_min, y_max = chosen.area or map(float, scene.bounds)
     clearance = Clearance(scene, float(robot.base_from_camera[2, 3]))
     safety = Safety((x_min, x_max, y_min, y_max), clearance, settings.distance_kept)
     safety.check_goal(goal)
-    chosen = replace(filter_settings, start=settings.start, area=settings.area)
     renderer = renderer_of_scene(
         scene,
         VIEW_RESOLUTION_FACTOR * chosen.fine_width,
@@ -161,7 +162,7 @@ def equipment_of(
     )
     return Equipment(
         robot,
-        localizer_of(settings.start),
+        localizer_of(chosen.start),
         lambda: localizer_of(None),
         alignment,
         DockingStateMachine(goal, settings, safety, explorer),

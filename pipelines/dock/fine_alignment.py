@@ -27,9 +27,10 @@ from pipelines.localize.observation import Observation, Observer
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import PLANAR
 from pipelines.localize.status import TRACKING_HEADING, TRACKING_POSITION
-from pipelines.render.channels import SCALE, ZERO, Channels, views_in_channels
+from pipelines.render.channels import SCALE, ZERO, views_in_channels
+from pipelines.render.choices import Channels, Quality
 from pipelines.render.renderer import Renderer, RenderingWithSurface
-from pipelines.render.surface import Quality, quality_named
+from pipelines.render.surface import quality_named
 
 # Errors of the scene model are correlated beyond a tile of the image, so that standard deviations
 # computed from tiles are too small by this factor. It is larger than the filter's, since docking

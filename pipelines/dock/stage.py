@@ -123,34 +123,52 @@ class DryRunSummary:
         return {"kind": "robot", "name": self.name, "in_order": True, **self.facts}
 
 
+@dataclass(frozen=True)
+class DockRequest:
+    """Which robot is to be docked where.
+
+    Attributes:
+        scene: scene model.
+        robot: see ``robots.choice.robot_named``.
+        goal: where to; None: nowhere, for a robot that is only looked at.
+        filter_settings: of the filter.
+        settings: of the docking.
+        robot_options: of a simulated robot.
+        seed: of the filter's and a simulated robot's random numbers, not negative.
+        mask: file that says where images of the robot's camera are not to be used.
+
+    Raises:
+        OptionError: a negative seed, or settings of a filter that does not drive.
+    """
+
+    scene: Path
+    robot: str
+    goal: Goal | None
+    filter_settings: LocalizerSettings = field(default_factory=LocalizerSettings)
+    settings: DockSettings = field(default_factory=DockSettings)
+    robot_options: RobotOptions = field(default_factory=RobotOptions)
+    seed: int = 0
+    mask: Path | None = None
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise OptionError(f"seed {self.seed} is negative")
+        if self.filter_settings.uses_pnp:
+            raise OptionError(
+                "docking goes by the filter alone: leave out method pnp, with_pnp and proposal"
+            )
+
+
 def dock_robot(
-    scene_path: Path,
-    robot_name: str,
-    goal: Goal,
-    output: Path,
-    settings: DockSettings,
-    filter_settings: LocalizerSettings,
-    robot_options: RobotOptions,
-    *,
-    seed: int,
-    overwrite: bool,
-    listener: Listener,
-    mask: Path | None = None,
+    request: DockRequest, output: Path, *, overwrite: bool, listener: Listener
 ) -> DockSummary:
     """Docks a robot and writes the run, however it ended.
 
     Args:
-        scene_path: scene model.
-        robot_name: see ``robots.choice.robot_named``.
-        goal: where to.
+        request: which robot, and where.
         output: the file to be written.
-        settings: of the docking.
-        filter_settings: of the filter.
-        robot_options: of a simulated robot.
-        seed: of the filter's and a simulated robot's random numbers, not negative.
         overwrite: whether an existing file may be replaced.
         listener: told of every step.
-        mask: file that says where images of the robot's camera are not to be used.
 
     Raises:
         InputError: an input cannot be used, or the output not be written.
@@ -159,21 +177,25 @@ def dock_robot(
         RobotError: the robot is none.
     """
     check_output(output, overwrite)
-    _check_seed(seed)
-    scene = load_scene(scene_path)
+    if request.goal is None:
+        raise OptionError("there is no goal")
+    settings, seed = request.settings, request.seed
+    scene = load_scene(request.scene)
     # The run says where it was computed: another device rounds differently.
-    filter_settings = replace(filter_settings, device=resolved_device(filter_settings.device))
-    robot = robot_named(robot_name, scene, robot_options, seed)
-    seen = _mask_of(robot, mask)
+    device = resolved_device(request.filter_settings.device)
+    filter_settings = replace(request.filter_settings, device=device)
+    robot = robot_named(request.robot, scene, request.robot_options, seed)
+    seen = _mask_of(robot, request.mask)
     used = None if seen is None else seen.used
     inputs = {"scene": scene.identifier}
     if seen is not None:
         inputs["mask"] = seen.sha256
-    record = provenance("dock", {**settings.to_dict(), "robot": robot_name, "seed": seed}, inputs)
-    origin = Origin(
-        scene.identifier, relative_scene_path(scene_path, output), robot_name, seed, record
+    record = provenance(
+        "dock", {**settings.to_dict(), "robot": request.robot, "seed": seed}, inputs
     )
-    result = docked(scene, robot, goal, settings, filter_settings, origin, listener, used)
+    scene_path = relative_scene_path(request.scene, output)
+    origin = Origin(scene.identifier, scene_path, request.robot, seed, record)
+    result = docked(scene, robot, request.goal, settings, filter_settings, origin, listener, used)
     docking = result.docking
     if result.run is not None:
         save_run(output, result.run, overwrite)
@@ -183,36 +205,26 @@ def dock_robot(
     return DockSummary(output, docking, robot.note, result.notes)
 
 
-def dry_run(
-    scene_path: Path,
-    robot_name: str,
-    goal: Goal | None,
-    settings: DockSettings,
-    filter_settings: LocalizerSettings,
-    robot_options: RobotOptions,
-    seed: int,
-    mask: Path | None = None,
-) -> DryRunSummary:
+def dry_run(request: DockRequest) -> DryRunSummary:
     """Looks whether a robot is in order: takes an image, moves by nothing, stops.
 
     Args:
-        scene_path, robot_name, settings, filter_settings, robot_options, seed, mask: as for
-            ``dock_robot``.
-        goal: where to, if that is to be looked at too.
+        request: which robot, and where, if that is to be looked at too.
 
     Raises:
         InputError, OptionError, RobotError, StageError: it is not, or cannot be docked there.
     """
-    _check_seed(seed)
-    scene = load_scene(scene_path)
-    robot = robot_named(robot_name, scene, robot_options, seed)
-    seen = _mask_of(robot, mask)
+    goal, filter_settings, seed = request.goal, request.filter_settings, request.seed
+    scene = load_scene(request.scene)
+    robot = robot_named(request.robot, scene, request.robot_options, seed)
+    seen = _mask_of(robot, request.mask)
     notes: tuple[str, ...] = ()
     if goal is not None:
         used = None if seen is None else seen.used
         place = goal_state(goal, scene, robot, filter_settings, seed, used)
         rng = np.random.default_rng(seed)
-        notes = equipment_of(scene, robot, place, settings, filter_settings, rng, used).notes
+        equipment = equipment_of(scene, robot, place, request.settings, filter_settings, rng, used)
+        notes = equipment.notes
     try:
         image = robot.take_image()
         measured = robot.move(STANDSTILL)
@@ -233,12 +245,7 @@ def dry_run(
         facts = {"camera images": robot.note, **facts}
     if goal is not None:
         facts["goal"] = "; ".join(notes) or "the map shows what the camera sees there"
-    return DryRunSummary(robot_name, robot, facts)
-
-
-def _check_seed(seed: int) -> None:
-    if seed < 0:
-        raise OptionError(f"seed {seed} is negative")
+    return DryRunSummary(request.robot, robot, facts)
 
 
 def _mask_of(robot: CheckedRobot, path: Path | None) -> Mask | None:

@@ -136,12 +136,14 @@ def errors_of_choices(
         )
         query = prepared(observation.image)
         grey = query[..., :3].mean(axis=2, dtype=np.float64)
-        whole = likelihood.sharpness * costs_by_some(images, covered, query, np.ones(grey.shape))
+        whole = likelihood.inverse_temperature * costs_by_some(
+            images, covered, query, np.ones(grey.shape)
+        )
         spreads.append(float(np.var(whole)))
         for name, choose in CHOICES.items():
             for number in range(REPETITIONS):
                 part = costs_by_some(images, covered, query, choose(grey, number, rng))
-                squares[name].append(float(np.var(likelihood.sharpness * part - whole)))
+                squares[name].append(float(np.var(likelihood.inverse_temperature * part - whole)))
     if not spreads:
         raise InputError(dataset.root / GROUNDTRUTH_FILE, "has no pose at any image")
     errors = {name: float(np.sqrt(np.mean(values))) for name, values in squares.items()}

@@ -10,9 +10,10 @@ from pipelines.artifacts.atomic import check_output, write_text
 from pipelines.artifacts.errors import OptionError
 from pipelines.artifacts.file_content import read_text_file
 from pipelines.artifacts.processes import processor_count
+from pipelines.artifacts.settings_file import Choices
 from pipelines.artifacts.stages import Progress
 from pipelines.artifacts.toml_file import MAX_TOML_BYTES
-from pipelines.experiments.sweep_config import read_sweep_config
+from pipelines.experiments.sweep_config import NO_CHOICES, read_sweep_config
 from pipelines.experiments.sweep_inputs import program_hash
 from pipelines.experiments.sweep_plan import planned_runs
 from pipelines.experiments.sweep_plots import write_plots
@@ -74,6 +75,7 @@ def sweep(
     output: Path,
     *,
     seeds: str | None,
+    options: Choices = NO_CHOICES,
     scheduler: str | None,
     processes: int | None,
     overwrite: bool,
@@ -86,6 +88,7 @@ def sweep(
         output: folder; that of an earlier sweep is continued. Gets ``runs/`` with a file for each
             finished run, ``table.csv``, ``table.json``, ``table.md``, and figures.
         seeds: seeds that replace those in the config; None: those in the config.
+        options: settings of all runs; they win over those of the config.
         scheduler: address of a Dask scheduler; None: this machine executes the runs.
         processes: number of processes on this machine; None: one a processor.
         overwrite: whether finished runs are repeated.
@@ -93,11 +96,12 @@ def sweep(
 
     Raises:
         InputError: the config, a scene or a data set cannot be used, or the output not be written.
-        OptionError: no processes, invalid seeds, or no scheduler at the address.
+        OptionError: no processes, invalid seeds, an option that the config varies, or no scheduler
+            at the address.
     """
     if processes is not None and processes < 1:
         raise OptionError(f"{processes} processes cannot do any work; give at least 1")
-    config = read_sweep_config(config_path, seeds)
+    config = read_sweep_config(config_path, seeds, options)
     check_output(output, overwrite=True, marker=CONFIG_COPY)
     runs = planned_runs(config, progress)
     text = read_text_file(config_path, MAX_TOML_BYTES)

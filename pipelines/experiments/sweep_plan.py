@@ -127,7 +127,7 @@ def _setup(
         odometry=name,
         method=settings.method,
         strategy=settings.strategy,
-        proposal=settings.proposal if settings.strategy == "informed" else None,
+        proposal=settings.proposal if settings.strategy == "mixture" else None,
         likelihood=_name_of(settings.likelihood),
         particles=settings.particles,
     )
@@ -136,7 +136,7 @@ def _setup(
 def _name_of(likelihood: Likelihood) -> str:
     """A likelihood's name in tables: its cost, and its pixel subsampling unless that is usual."""
     name = likelihood.cost.name.lower()
-    step = likelihood.one_pixel_in
-    if step == LIKELIHOODS[name].one_pixel_in:
+    step = likelihood.pixel_subsampling
+    if step == LIKELIHOODS[name].pixel_subsampling:
         return name
-    return f"{name}, all pixels" if step == 1 else f"{name}, one pixel in {step}"
+    return f"{name}, all pixels" if step == 1 else f"{name}, pixel subsampling {step}"

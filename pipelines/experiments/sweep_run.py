@@ -18,7 +18,7 @@ from pipelines.experiments.sweep_result import RunResult, judged
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_scene
 from pipelines.localize.settings import LocalizerSettings
-from pipelines.localize.stage import localize_dataset
+from pipelines.localize.stage import RunOrigin, localize_dataset
 
 
 @dataclass(frozen=True)
@@ -125,9 +125,7 @@ class RunExecutor:
             self._dataset(run),
             run.settings,
             seed=run.seed,
-            odometry_source=source,
-            scene_path=str(run.scene),
-            record={},
+            origin=RunOrigin(str(run.scene), source),
             progress=no_progress,
         )
         return judged(finished, _cpu_seconds() - start)

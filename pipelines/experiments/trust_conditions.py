@@ -22,7 +22,7 @@ starts = 5                               # optional: localize each frame alone, 
                                          # deviations in [start]
 
 [condition.start]                        # optional: this and other sections as in a config of
-position_sigma = 0.3                     # lfnav localize, for this condition
+start_position_sigma = 0.3               # lfnav localize, for this condition
 
 
 [filter]                                 # optional: the same sections, for all conditions
@@ -38,6 +38,7 @@ from pathlib import Path
 from typing import Any
 
 from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.artifacts.settings_file import Choices, check_choices, read_choices
 from pipelines.artifacts.toml_file import read_toml
 from pipelines.dataset.dataset import GROUNDTRUTH_FILE
 from pipelines.experiments.config_tables import (
@@ -48,11 +49,10 @@ from pipelines.experiments.config_tables import (
     read_seeds,
     refuse_duplicates,
 )
-from pipelines.localize.config import Choices, check_choices, overridden, read_choices, settings_of
-from pipelines.localize.config_keys import SECTIONS
-from pipelines.localize.settings import METHODS, LocalizerSettings
+from pipelines.localize.config import ENTRIES, overridden, settings_of
+from pipelines.localize.settings import METHODS, SECTIONS, LocalizerSettings
 from pipelines.localize.stage import NO_ODOMETRY
-from pipelines.render.channels import Channels
+from pipelines.render.choices import Channels
 
 STUDY_KEYS = ("seeds", "channels")
 CONDITION_KEYS = (
@@ -104,10 +104,14 @@ class TrustConditions:
     """The conditions of a file.
 
     Attributes:
+        path: the file.
+        data: the folder that ``data`` of a condition is relative to; None: there is none.
         conditions: those whose data are present.
         skipped: names of those whose data are absent.
     """
 
+    path: Path
+    data: Path | None
     conditions: tuple[Condition, ...]
     skipped: tuple[str, ...]
 
@@ -140,8 +144,8 @@ def read_trust_conditions(
     study = checked_table(path, content.get("study", {}), "[study]", STUDY_KEYS)
     usual = named_seeds(seeds) if seeds is not None else read_seeds(path, "[study]", study)
     channels = _channels(path, study)
-    base = read_choices(path, rest)
-    check_choices(path, base)
+    base = read_choices(path, rest, ENTRIES)
+    check_choices(path, base, ENTRIES, settings_of)
     places = _scenes(path, content.get("scenes", {}), scenes or {})
     tables = content.get("condition", [])
     if not isinstance(tables, list) or not tables:
@@ -172,7 +176,7 @@ def read_trust_conditions(
         _check_inputs(path, place, condition)
         conditions.append(condition)
     refuse_duplicates(path, "two conditions have the same name", [*_names(conditions), *skipped])
-    return TrustConditions(tuple(conditions), tuple(skipped))
+    return TrustConditions(path, data, tuple(conditions), tuple(skipped))
 
 
 def _names(conditions: list[Condition]) -> list[str]:
@@ -250,7 +254,7 @@ def _channels(path: Path, study: Mapping[str, Any]) -> tuple[Channels, ...]:
 def _settings(
     path: Path, place: str, values: Mapping[str, Any], base: Choices
 ) -> LocalizerSettings:
-    own = read_choices(path, {key: values[key] for key in SECTIONS if key in values})
+    own = read_choices(path, {key: values[key] for key in SECTIONS if key in values}, ENTRIES)
     try:
         return settings_of(overridden(base, own))
     except OptionError as error:

@@ -25,9 +25,9 @@ from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_scene
 from pipelines.localize.run import Run
 from pipelines.localize.settings import LocalizerSettings
-from pipelines.localize.stage import NO_ODOMETRY, localize_dataset
+from pipelines.localize.stage import NO_ODOMETRY, RunOrigin, localize_dataset
 from pipelines.localize.trust import Trust, pooled, trust_elsewhere, trust_of
-from pipelines.render.channels import Channels
+from pipelines.render.choices import Channels
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Task:
         """The condition's settings with this method and these channels."""
         own = replace(self.condition.settings, threads=self.threads)
         if self.method == "pnp":
-            return replace(own, method="pnp", with_pnp=False, proposal="appearance", start=None)
+            return replace(own, method="pnp", with_pnp=False, proposal="retrieval", start=None)
         if self.channels is None:
             return own
         return replace(own, likelihood=replace(own.likelihood, channels=self.channels))
@@ -239,9 +239,7 @@ def _runs(
             frames,
             own,
             seed=seed,
-            odometry_source=source,
-            scene_path=str(condition.scene),
-            record={},
+            origin=RunOrigin(str(condition.scene), source),
             progress=no_progress,
         )
 

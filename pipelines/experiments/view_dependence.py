@@ -19,11 +19,10 @@ from pipelines.experiments.flat_parts import FlatPart, parts_inverse_depth
 from pipelines.experiments.texture import texture_colours
 from pipelines.geometry.plane import Plane
 from pipelines.lightfield.views import Views, with_depth, without_depth
-from pipelines.render.blending import Blending
+from pipelines.render.choices import Blending, Quality
 from pipelines.render.held_out import HeldOut
 from pipelines.render.image_quality import psnr
 from pipelines.render.renderer import Renderer
-from pipelines.render.surface import Quality
 
 GEOMETRIES = {
     "own": "depth from the photos",

@@ -68,7 +68,15 @@ class Intrinsics:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def rays(self, columns: FloatArray, rows: FloatArray) -> FloatArray:
-        """Directions ``(..., 3)`` with z = 1, camera coordinates, of pixels ``(...)``."""
+        """The directions in which pixels look.
+
+        Args:
+            columns: ``(...)`` of the pixels, centres at integers.
+            rows: ``(...)`` of the pixels.
+
+        Returns:
+            ``(..., 3)`` camera coordinates, with z = 1.
+        """
         x, y = (columns - self.cx) / self.fx, (rows - self.cy) / self.fy
         return np.stack([x, y, np.ones_like(x)], axis=-1)
 

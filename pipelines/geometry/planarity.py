@@ -55,7 +55,7 @@ _NEAR_AXIS = math.cos(math.radians(45.0))
 _Z = np.array([0.0, 0.0, 1.0])
 
 TURNS_ABOUT_Y = "turns about its y axis"
-HOW_TO_LEAVE_THE_FLOOR = "give --dof 6 where the ground is not level"
+HOW_TO_LEAVE_THE_FLOOR = "give --degrees-of-freedom 6 where the ground is not level"
 
 
 class Cause(Enum):
@@ -258,8 +258,8 @@ def check_planar(
         raise InputError(
             source,
             f"seems to be of a camera and not of the robot's base: it {camera_sign_of(poses)}",
-            "a base has x forward, y left, z up; give its poses, or --dof 6 without [mount] for a "
-            "camera that moves freely",
+            "a base has x forward, y left, z up; give its poses, or --degrees-of-freedom 6 without "
+            "[mount] for a camera that moves freely",
         )
     if cause is Cause.Z_DOWN:
         raise InputError(

@@ -1,100 +1,107 @@
 """Kinds of likelihood: how a view and a camera image are compared, and how much that is trusted.
 
 The cost of a comparison (``pipelines.render.comparison``) becomes a log-likelihood,
-``-sharpness * cost``. The default, ``evidence``, is absolute: a log-likelihood ratio against an
-image that does not show the map. The others say only which of several states fits better; the
-paper's is ``squared``.
+``-inverse_temperature * cost``. The default, ``evidence``, is absolute: a log-likelihood ratio
+against an image that does not show the map. The others say only which of several states fits
+better; the paper's is ``squared``.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
 from types import MappingProxyType
 
-import numpy as np
-
-from pipelines.artifacts.arguments import check_fields, checked_choice
-from pipelines.artifacts.arrays import FloatArray
-from pipelines.artifacts.errors import OptionError, StageError
-from pipelines.localize.belief import effective_sample_size, normalise_log_weights
-from pipelines.localize.observation import SUBSAMPLING_SHIFTS
-from pipelines.render.channels import Channels
-from pipelines.render.comparison import Cost
+from pipelines.artifacts.arguments import checked_choice
+from pipelines.artifacts.errors import OptionError
+from pipelines.artifacts.setting import check_settings, described, setting
+from pipelines.render.choices import Channels, Cost
 
 
+@described
 @dataclass(frozen=True)
 class Likelihood:
     """A kind of comparison and how much it is trusted.
 
-    Attributes:
-        cost: the kind of comparison.
-        sharpness: log-likelihood lost for a unit of cost. For the squared difference it is
-            n 255^2 / (2 sigma^2) with n independent pixels of standard deviation sigma:
-            neighbouring pixels and the errors of the model are far from independent, so n is about
-            ten. For evidence it is the number of independent pixels that an image is worth,
-            whatever its size.
-        fit_gain: whether a brightness factor is fitted before the comparison.
-        one_pixel_in: one in so many pixels is compared, a key of
-            ``observation.SUBSAMPLING_SHIFTS``.
-        channels: what of the images is compared.
+    For the squared difference the inverse temperature is n 255^2 / (2 sigma^2) with n independent
+    pixels of standard deviation sigma: neighbouring pixels and the errors of the model are far from
+    independent, so n is about ten. For evidence it is the number of independent pixels that an
+    image is worth, whatever its size.
 
     Raises:
-        OptionError: a sharpness that is not positive and finite, or a subsampling that does
-            not exist.
+        OptionError: an inverse temperature that is not positive and finite, or values that do not
+            go together.
     """
 
-    cost: Cost
-    sharpness: float
-    fit_gain: bool = True
-    one_pixel_in: int = 1
-    channels: Channels = Channels.COLOUR
+    cost: Cost = setting(
+        "likelihood",
+        MISSING,
+        "how images are compared: evidence (local contrast, against an image that does not show "
+        "the map); squared, as in the paper, with condensation",
+        former=("likelihood",),
+        is_common=True,
+    )
+    inverse_temperature: float = setting(
+        "likelihood",
+        MISSING,
+        "log-likelihood lost for a unit of cost; another cost brings its own",
+        limits=(1e-9, 1e9),
+        former=("sharpness",),
+    )
+    fit_gain: bool = setting(
+        "likelihood", True, "fit a brightness factor before the comparison; not with evidence"
+    )
+    pixel_subsampling: int = setting(
+        "likelihood",
+        1,
+        "one in so many pixels is compared",
+        choices=(1, 2, 3, 5),
+        former=("one_pixel_in",),
+    )
+    channels: Channels = setting("likelihood", Channels.COLOUR, "what of the images is compared")
 
     def __post_init__(self) -> None:
-        check_fields(self)
-        if not (np.isfinite(self.sharpness) and self.sharpness > 0.0):
-            raise OptionError(f"a likelihood's sharpness {self.sharpness:g} must be positive")
-        if self.one_pixel_in not in SUBSAMPLING_SHIFTS:
-            known = ", ".join(map(str, SUBSAMPLING_SHIFTS))
-            raise OptionError(f"one pixel in {self.one_pixel_in} is none of one in {known}")
-        if self.cost is Cost.GRADIENT and self.one_pixel_in != 1:
-            raise OptionError("gradients are of neighbouring pixels: compare one pixel in 1")
-
+        check_settings(self)
+        if self.cost is Cost.GRADIENT and self.pixel_subsampling != 1:
+            raise OptionError("gradients are of neighbouring pixels: pixel_subsampling has to be 1")
         if self.cost is Cost.EVIDENCE and self.fit_gain:
             raise OptionError("evidence fits no gain: choose channels that bear another light")
 
     @property
-    def proposal_sharpness(self) -> float:
-        """The sharpness of a squared difference whose peaks are about as wide."""
+    def proposal_inverse_temperature(self) -> float:
+        """The inverse temperature of a squared difference whose peaks are about as wide."""
         if self.cost is Cost.EVIDENCE:
-            return EVIDENCE_PEAK_SHARPNESS
-        return self.sharpness if self.cost is Cost.SQUARED else SQUARED_SHARPNESS
+            return EVIDENCE_PEAK_INVERSE_TEMPERATURE
+        is_squared = self.cost is Cost.SQUARED
+        return self.inverse_temperature if is_squared else SQUARED_INVERSE_TEMPERATURE
 
 
-# The squared difference's sharpness, by which other costs' peaks are taken to be as wide.
-SQUARED_SHARPNESS = 800.0
-EVIDENCE_PEAK_SHARPNESS = 8000.0
+# The squared difference's, by which other costs' peaks are taken to be as wide.
+SQUARED_INVERSE_TEMPERATURE = 800.0
+EVIDENCE_PEAK_INVERSE_TEMPERATURE = 8000.0
 # Independent pixels that an image is worth, as evidence. Windows of local contrast have 25 pixels,
 # of which an image 40 pixels wide has 48; edges are narrower than windows.
 INDEPENDENT_PIXELS = 150.0
 # Of particles around the truth, log-likelihoods by a fifth of 40x30 pixels differ from those by all
 # by 0.4 (standard deviation), and among each other by 4 to 5: docs/performance.md.
-ONE_PIXEL_IN = 5
+PIXEL_SUBSAMPLING = 5
 
 
 LIKELIHOODS: Mapping[str, Likelihood] = MappingProxyType(
     {
         "evidence": Likelihood(
-            Cost.EVIDENCE, INDEPENDENT_PIXELS, False, ONE_PIXEL_IN, Channels.CONTRAST
+            Cost.EVIDENCE, INDEPENDENT_PIXELS, False, PIXEL_SUBSAMPLING, Channels.CONTRAST
         ),
-        "squared": Likelihood(Cost.SQUARED, SQUARED_SHARPNESS, one_pixel_in=ONE_PIXEL_IN),
-        "robust": Likelihood(Cost.ROBUST, 80.0, one_pixel_in=ONE_PIXEL_IN),
-        "zncc": Likelihood(Cost.ZNCC, 60.0, fit_gain=False, one_pixel_in=ONE_PIXEL_IN),
+        "squared": Likelihood(
+            Cost.SQUARED, SQUARED_INVERSE_TEMPERATURE, pixel_subsampling=PIXEL_SUBSAMPLING
+        ),
+        "robust": Likelihood(Cost.ROBUST, 80.0, pixel_subsampling=PIXEL_SUBSAMPLING),
+        "zncc": Likelihood(Cost.ZNCC, 60.0, fit_gain=False, pixel_subsampling=PIXEL_SUBSAMPLING),
         "gradient": Likelihood(Cost.GRADIENT, 60.0),
     }
 )
 
 
 def likelihood_named(name: str) -> Likelihood:
-    """The likelihood with its default sharpness.
+    """The likelihood with its default inverse temperature.
 
     Args:
         name: ``evidence``, ``squared`` (the paper's: Heigl, Denzler, Niemann 2001, section 6),
@@ -104,51 +111,3 @@ def likelihood_named(name: str) -> Likelihood:
         OptionError: unknown name.
     """
     return LIKELIHOODS[checked_choice(name, "likelihood", LIKELIHOODS)]
-
-
-def tempered(
-    log_weights: FloatArray, log_likelihoods: FloatArray, smallest_share: float
-) -> tuple[FloatArray, float]:
-    """Adds log-likelihoods to log-weights, flattened as far as needed to keep particles alive.
-
-    A likelihood that is sharper than the particles are dense leaves one of them with all the
-    weight, the nearest by chance. Raised to a power below 1 it selects more slowly and more surely
-    (annealed weights, Deutscher and Reid 2005).
-
-    Args:
-        log_weights: ``(M,)`` normalised prior weights.
-        log_likelihoods: ``(M,)``; -inf is allowed.
-        smallest_share: of M that the effective sample size shall keep; 0 leaves the likelihood as
-            it is.
-
-    Returns:
-        Normalised log-weights ``(M,)`` and the power in (0, 1]. Where the image rules out all
-        particles alike, the prior weights remain.
-
-    Raises:
-        StageError: log-likelihoods that are NaN or +inf: the comparison is broken.
-    """
-    broken = int(np.count_nonzero(np.isnan(log_likelihoods) | np.isposinf(log_likelihoods)))
-    if broken:
-        raise StageError(f"{broken} of {len(log_likelihoods)} log-likelihoods are NaN or +inf")
-    largest = np.max(log_likelihoods)
-    if np.isneginf(largest):
-        return log_weights, 1.0
-    relative = log_likelihoods - largest
-
-    def posterior(power: float) -> FloatArray:
-        return normalise_log_weights(log_weights + power * relative)[0]
-
-    wanted = smallest_share * len(log_weights)
-    # The prior's own spread is the most that any power can keep.
-    wanted = min(wanted, 0.5 * effective_sample_size(log_weights))
-    if effective_sample_size(posterior(1.0)) >= wanted:
-        return posterior(1.0), 1.0
-    low, high = 1e-9, 1.0
-    for _ in range(30):
-        middle = 0.5 * (low + high)
-        if effective_sample_size(posterior(middle)) >= wanted:
-            low = middle
-        else:
-            high = middle
-    return posterior(low), low

@@ -160,7 +160,7 @@ class Localizer:
             timestamp: seconds, kept in the record.
             image_name: kept in the record.
             hypotheses: ``(K, D)`` states found by other means, from which the search starts as
-                well, in the world, metres and radians (strategy ``informed`` only).
+                well, in the world, metres and radians (strategy ``mixture`` only).
 
         Returns:
             The belief, the estimates drawn from it, and how sure they are.

@@ -36,7 +36,7 @@ MOST = (5.0, 95.0)
 # So many depth maps say how far the surface is, and the cosine from which a ray grazes the plane.
 VIEWS_MEASURED, GRAZING = 64, 0.1
 
-UNEVEN_REMEDY = "a planar robot stays on z = 0; --dof 6 lets it leave the plane"
+UNEVEN_REMEDY = "a planar robot stays on z = 0; --degrees-of-freedom 6 lets it leave the plane"
 
 
 def notes_on_heights(scene: Scene, camera_height: float) -> tuple[str, ...]:
@@ -64,7 +64,7 @@ def notes_on_heights(scene: Scene, camera_height: float) -> tuple[str, ...]:
         notes.append(
             f"the robot's camera is {camera_height:.2f} m above z = 0 and the map's views at "
             f"{heights} m; check z of [mount] in camera.toml and that z = 0 of the map is the "
-            "floor, or give --dof 6"
+            "floor, or give --degrees-of-freedom 6"
         )
     return tuple(notes)
 

@@ -24,12 +24,13 @@ from pipelines.localize.observation import Observation, Observations
 from pipelines.localize.places import compressed
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import StateSpace
-from pipelines.render.channels import Channels, views_in_channels
-from pipelines.render.comparison import Cost, PixelEvidence
+from pipelines.render.channels import views_in_channels
+from pipelines.render.choices import Channels, Cost, Quality
+from pipelines.render.comparison import PixelEvidence
 from pipelines.render.pixel_evidence import learn_evidence
 from pipelines.render.renderer import Renderer
 from pipelines.render.renderer_choice import renderer_of_scene
-from pipelines.render.surface import Quality, quality_named
+from pipelines.render.surface import quality_named
 
 # Photos are kept at so many times the width of the finest comparison.
 VIEW_RESOLUTION_FACTOR = 8
@@ -140,26 +141,26 @@ class MeasurementModel:
         likelihood = self.likelihood
         checked_instance(observation, "observation", Observation)
         if likelihood.cost is Cost.EVIDENCE:
-            return self.evidence(states, observation, likelihood.one_pixel_in)
+            return self.evidence(states, observation, likelihood.pixel_subsampling)
         own = observation.in_channels(likelihood.channels)
         costs = self._renderers[likelihood.channels].costs(
             self._poses(states),
             own.intrinsics,
-            own.subsampled(likelihood.one_pixel_in),
+            own.subsampled(likelihood.pixel_subsampling),
             likelihood.cost,
             likelihood.fit_gain,
         )
-        return -likelihood.sharpness * costs
+        return -likelihood.inverse_temperature * costs
 
     def evidence(
-        self, states: FloatArray, observation: Observation, one_pixel_in: int = 1
+        self, states: FloatArray, observation: Observation, pixel_subsampling: int = 1
     ) -> FloatArray:
         """What an image says for states ``(M, D)`` against "it does not show the map", ``(M,)``.
 
         Args:
             states: ``(M, D)`` world_from_body, metres and radians.
             observation: the image, as an ``Observer`` prepares it.
-            one_pixel_in: one in so many pixels is compared; they stand for all.
+            pixel_subsampling: one in so many pixels is compared; they stand for all.
 
         Returns:
             ``(M,)`` natural logarithms of likelihood ratios: positive for, negative against.
@@ -168,9 +169,9 @@ class MeasurementModel:
             OptionError: states that are not finite numbers of this shape, or no observation.
         """
         checked_instance(observation, "observation", Observation)
-        checked_number(one_pixel_in, "one pixel in", 1, whole=True)
+        checked_number(pixel_subsampling, "pixel_subsampling", 1, whole=True)
         own = observation.in_channels(self.channels)
-        image = own.subsampled(one_pixel_in)
+        image = own.subsampled(pixel_subsampling)
         compared = max(int(np.count_nonzero(np.isfinite(image[..., 0]))), 1)
         usable = int(np.count_nonzero(own.used))
         costs = self.renderer.costs(
@@ -183,10 +184,17 @@ class MeasurementModel:
         )
         # Of all pixels, masked ones included: a part of an image is worth a part.
         share = usable / compared / own.used.size
-        return np.where(self._is_too_near(states), 0.0, -self._absolute.sharpness * share * costs)
+        return np.where(
+            self._is_too_near(states), 0.0, -self._absolute.inverse_temperature * share * costs
+        )
 
     def evidence_at(self, state: FloatArray, observation: Observation) -> float:
-        """What an image says for one state ``(D,)``."""
+        """What an image says for one state against "it does not show the map".
+
+        Args:
+            state: ``(D,)`` world_from_body, metres and radians.
+            observation: the image, as an ``Observer`` prepares it.
+        """
         return float(self.evidence(state[None], observation)[0])
 
     def _is_too_near(self, states: FloatArray) -> BoolArray:
@@ -230,7 +238,9 @@ class MeasurementModel:
         own = observation.in_channels(self.channels)
         pixels = self.pixels(own.intrinsics.width)
         rows = pixels.rows(own.image[own.used]).astype(np.int64)
-        expected = self._absolute.sharpness * float(pixels.expected[rows].sum()) / own.used.size
+        expected = (
+            self._absolute.inverse_temperature * float(pixels.expected[rows].sum()) / own.used.size
+        )
         return min(max(evidence / max(expected, 1e-9), LEAST_EXPLAINED), 1.0)
 
     @property

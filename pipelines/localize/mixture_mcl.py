@@ -79,7 +79,7 @@ class _Weighted:
 
 
 class MixtureProposalMcl:
-    """The strategy ``informed``: carries a belief on with proposals that look at the image.
+    """The strategy ``mixture``: carries a belief on with proposals that look at the image.
 
     Args:
         model: compares states with images.

@@ -16,76 +16,12 @@ variances along its three axes and about them. Where no odometry is known the mo
 walk.
 """
 
-import math
-from dataclasses import dataclass, fields
-
 import numpy as np
 
-from pipelines.artifacts.arguments import check_fields
 from pipelines.artifacts.arrays import FloatArray, checked_array
 from pipelines.artifacts.errors import OptionError
+from pipelines.localize.settings import MotionModel
 from pipelines.localize.state_space import StateSpace, sigmas_of
-
-
-@dataclass(frozen=True)
-class MotionModel:
-    """How far odometry is trusted. Zero is allowed everywhere and means: exact.
-
-    The odometry model of Thrun, Burgard, Fox, *Probabilistic Robotics*, chapter 5.4, with the noise
-    on the increment itself. Of a turn r and a translation t, the variance of the heading is
-    alpha1 r^2 + alpha2 t^2 + heading_floor^2, and that of the position, along and across the
-    heading each, alpha3 t^2 + alpha4 r^2 + position_floor^2.
-
-    Attributes:
-        alpha1: heading noise from turning, rad^2 a rad^2.
-        alpha2: heading noise from driving, rad^2 a m^2.
-        alpha3: position noise from driving, m^2 a m^2.
-        alpha4: position noise from turning, m^2 a rad^2.
-        position_floor: standard deviation of x and of y that each step adds, metres.
-        heading_floor: standard deviation of the heading that each step adds, radians.
-        walk_position: standard deviation along each axis of a step without odometry, metres.
-        walk_heading: standard deviation about each axis of a step without odometry, radians.
-
-    Raises:
-        OptionError: a value that is negative or not finite.
-    """
-
-    alpha1: float = 0.04
-    alpha2: float = 0.02
-    alpha3: float = 0.04
-    alpha4: float = 0.01
-    position_floor: float = 0.02
-    heading_floor: float = 0.01
-    walk_position: float = 0.15
-    walk_heading: float = 0.12
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not (np.isfinite(value) and value >= 0.0):
-                raise OptionError(f"motion noise {field.name} = {value:g} is not 0 or more")
-
-    def standard_deviations(
-        self, space: StateSpace, increment: FloatArray | None
-    ) -> tuple[float, float]:
-        """Noise of one step: along each axis (metres) and of each angle (radians).
-
-        Args:
-            space: what a state is.
-            increment: ``(D,)`` in the body's frame; None: the motion is unknown.
-        """
-        if increment is None:
-            return self.walk_position, self.walk_heading
-        translation_squared = float(np.sum(increment[: space.positions] ** 2))
-        angle_squared = float(np.sum(increment[space.positions :] ** 2))
-        position_variance = (
-            self.alpha3 * translation_squared + self.alpha4 * angle_squared + self.position_floor**2
-        )
-        heading_variance = (
-            self.alpha1 * angle_squared + self.alpha2 * translation_squared + self.heading_floor**2
-        )
-        return math.sqrt(position_variance), math.sqrt(heading_variance)
 
 
 def checked_increment(space: StateSpace, increment: FloatArray | None) -> FloatArray | None:

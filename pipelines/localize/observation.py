@@ -25,7 +25,8 @@ from pipelines.artifacts.errors import OptionError, quoted
 from pipelines.dataset.mask import SMALLEST_USED_SHARE
 from pipelines.geometry.camera import Camera, Intrinsics, Undistorter
 from pipelines.lightfield.views import area_average, query_intrinsics
-from pipelines.render.channels import Channels, channel_image
+from pipelines.render.channels import channel_image
+from pipelines.render.choices import Channels
 
 # An image whose grey levels differ by less than this (standard deviation) shows nothing: a covered
 # lens, a dark room, a burnt-out frame.

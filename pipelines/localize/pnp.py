@@ -24,7 +24,6 @@ from pipelines.localize.feature_pose import FeatureSettings, FoundPose, PoseFind
 from pipelines.localize.landmarks import LandmarkSource
 from pipelines.localize.observation import check_mask
 from pipelines.localize.state_space import StateSpace
-from pipelines.reconstruct.reconstruction import Reconstruction
 
 # Random matches agreed on a pose with up to five features; thirty do not agree by chance.
 MIN_INLIERS = 30
@@ -66,6 +65,28 @@ class PnpAnswer:
         return None if self.state is None else self.state[None]
 
 
+@dataclass(frozen=True)
+class MountedCamera:
+    """A camera on a body.
+
+    Attributes:
+        camera: of the robot.
+        body_from_camera: ``(4, 4)`` its mount.
+        mask: ``(height, width)``, True where images of the camera are to be used; None: everywhere.
+
+    Raises:
+        OptionError: a mask of another size than the camera.
+    """
+
+    camera: Camera
+    body_from_camera: FloatArray
+    mask: BoolArray | None = None
+
+    def __post_init__(self) -> None:
+        if self.mask is not None:
+            check_mask(self.mask, self.camera)
+
+
 class PnpLocalizer:
     """Finds poses in one scene, each image for itself.
 
@@ -73,41 +94,31 @@ class PnpLocalizer:
 
     Args:
         scene: the map.
-        camera: of the robot.
-        body_from_camera: ``(4, 4)`` its mount.
+        landmarks: where features of its photos are.
+        mounted: camera of the robot.
         space: what a state is. In ``planar`` the pose is projected to the floor; one that hovers or
             leans is rejected.
         seed: of RANSAC.
         threads: the most that are used; None: one a processor.
-        reconstruction: whose points are the landmarks; None: points of the scene's surface are.
-        reconstruction_path: how errors name it.
         progress: shown while the features of the photos are detected.
-        mask: ``(height, width)``, True where images of the camera are to be used; None: everywhere.
 
     Raises:
-        OptionError: a mask of another size than the camera.
-        InputError: a photo of the scene cannot be decoded, or the reconstruction is not the scene's
-            or has no points.
+        InputError: a photo of the scene cannot be decoded.
     """
 
     def __init__(
         self,
         scene: Scene,
-        camera: Camera,
-        body_from_camera: FloatArray,
+        landmarks: LandmarkSource,
+        mounted: MountedCamera,
         space: StateSpace,
         *,
         seed: int,
         threads: int | None,
-        reconstruction: Reconstruction | None,
-        reconstruction_path: str,
         progress: Progress,
-        mask: BoolArray | None = None,
     ) -> None:
-        if mask is not None:
-            check_mask(mask, camera)
-        self._camera = camera
-        self._body_from_camera = body_from_camera
+        self._camera = mounted.camera
+        self._body_from_camera = mounted.body_from_camera
         self._space = space
         settings = FeatureSettings(
             max_size=MAX_SIZE,
@@ -116,13 +127,12 @@ class PnpLocalizer:
             seed=seed % MAX_SEED,
             threads=min(MAX_THREADS, threads or os.cpu_count() or 1),
         )
-        self._finder = PoseFinder(camera, settings)
-        source = LandmarkSource(scene, reconstruction, reconstruction_path)
+        self._finder = PoseFinder(mounted.camera, settings)
         for view in progress(range(len(scene)), "features of the scene", len(scene)):
-            landmarks = source.landmarks(view, self._finder.describe(_grey(scene.image(view))))
-            self._finder.place(landmarks.rows, landmarks.points)
-        if mask is not None:
-            self._finder.use_only(mask.astype(np.uint8))
+            found = landmarks.landmarks(view, self._finder.describe(_grey(scene.image(view))))
+            self._finder.place(found.rows, found.points)
+        if mounted.mask is not None:
+            self._finder.use_only(mounted.mask.astype(np.uint8))
 
     def locate(self, image: ImageArray) -> PnpAnswer:
         """The body's pose when the camera took an image ``(height, width, 3)``, RGB as recorded.

@@ -141,8 +141,8 @@ class ProposalBuilder:
         space = self._model.space
         smallest = sigmas_of(space, SMALLEST_POSITION, SMALLEST_ANGLE)
         largest = sigmas_of(space, LARGEST_POSITION, LARGEST_ANGLE)
-        sharpness = 2.0 * self._model.likelihood.proposal_sharpness / 255.0**2
-        precision = sharpness * curvature + np.diag(largest**-2.0)
+        inverse_temperature = 2.0 * self._model.likelihood.proposal_inverse_temperature / 255.0**2
+        precision = inverse_temperature * curvature + np.diag(largest**-2.0)
         return np.asarray(WIDENING**2 * np.linalg.inv(precision) + np.diag(smallest**2))
 
     def _hypotheses(self, prediction: Prediction, observations: Observations) -> FloatArray:

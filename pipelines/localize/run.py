@@ -33,8 +33,10 @@ from pipelines.artifacts.safe_hdf5 import (
     write_json,
     write_schema,
 )
+from pipelines.artifacts.settings_file import with_current_names
 from pipelines.geometry.camera import Camera, camera_from_dict
 from pipelines.localize.belief import Belief
+from pipelines.localize.config import ENTRIES
 from pipelines.localize.docking_record import DockingRecord, read_docking, write_docking
 from pipelines.localize.state_space import StateSpace, state_space_of_dimension
 
@@ -199,7 +201,7 @@ class Run:
     def frame_seconds(self) -> FloatArray:
         """``(N,)`` wall time of each frame, without PnP where it only ran beside the filter."""
         settings = self.settings
-        beside = settings.get("with_pnp") and settings.get("proposal") == "appearance"
+        beside = settings.get("with_pnp") and settings.get("proposal") == "retrieval"
         skipped = PNP_ESTIMATE if beside else None
         return np.array(
             [
@@ -367,7 +369,7 @@ def _read_run(file: SafeFile) -> Run:
         dataset_name=str(header["dataset_name"]),
         camera=camera_from_dict(header["camera"]),
         base_from_camera=_read_floats(file, "base_from_camera", (4, 4)),
-        settings=dict(header["settings"]),
+        settings=with_current_names(dict(header["settings"]), ENTRIES),
         seed=int(header["seed"]),
         frames=tuple(frames),
         encoded_images=tuple(images),

@@ -141,7 +141,7 @@ class GlobalSearch:
         around = np.repeat(found, effort.copies, axis=0)
         around = space.moved(around, sigma * self._rng.standard_normal(around.shape))
         states = np.concatenate([found, around])
-        return states, self._model.evidence(states, fine, self._model.likelihood.one_pixel_in)
+        return states, self._model.evidence(states, fine, self._model.likelihood.pixel_subsampling)
 
     def largest_evidence(self, database: ViewDatabase, observations: Observations) -> float:
         """The largest evidence of an image for any state, by a quick search."""

@@ -1,165 +1,379 @@
-"""The filter's settings: what a user can choose, checked when it is made."""
+"""The filter's settings: what a user can choose, said once and checked when it is made.
+
+Config file, command line and docs/settings.md are made from the fields (``artifacts.setting``).
+NumPy is imported only where it is needed, so that this takes no time.
+"""
 
 import math
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from pipelines.artifacts.arguments import check_fields, checked_choice
-from pipelines.artifacts.errors import OptionError, quoted
+from pipelines.artifacts.arguments import checked_choice
+from pipelines.artifacts.errors import OptionError
+from pipelines.artifacts.setting import check_settings, described, setting
+from pipelines.artifacts.setting_kinds import AREA, DEGREES, POSE
 from pipelines.localize.likelihood import LIKELIHOODS, Likelihood
-from pipelines.localize.motion import MotionModel
-from pipelines.localize.resampling import SCHEMES
-from pipelines.localize.state_space import StateSpace, state_space_of_dimension
-from pipelines.render.blending import Blending
+from pipelines.render.choices import Blending, Quality
 from pipelines.render.devices import Device
-from pipelines.render.surface import Quality, quality_named
+
+if TYPE_CHECKING:
+    from pipelines.artifacts.arrays import FloatArray
+    from pipelines.localize.state_space import StateSpace
 
 METHODS = ("filter", "pnp")
-PROPOSALS = ("appearance", "pnp", "both")
-STRATEGIES = ("informed", "coarse_to_fine", "condensation")
+PROPOSALS = ("retrieval", "pnp", "both")
+STRATEGIES = ("mixture", "coarse_to_fine", "condensation")
 ESTIMATES = ("refined", "mode", "mean", "max_weight")
+RESAMPLING_SCHEMES = ("multinomial", "systematic", "stratified", "residual")
 # Hypotheses that a search begins with.
-START_PARTICLES = {"informed": 6_000, "coarse_to_fine": 20_000, "condensation": 195}
+START_PARTICLES = {"mixture": 6_000, "coarse_to_fine": 20_000, "condensation": 195}
 DEGREES_OF_FREEDOM = (3, 6)
 MAX_PARTICLES = 10_000_000
+MAX_WIDTH = 4096
 MAX_THREADS = 4096
+LONGEST = 1e6
+
+# Sections of the config file, in its order, and what they are about.
+SECTIONS = {
+    "filter": "The particle filter.",
+    "start": "Where the robot may be at first.",
+    "motion": "How far odometry is trusted: noise grows with motion; floors, each step.",
+    "likelihood": "How the camera image is compared with a rendered view.",
+    "rendering": "How views are rendered, and how large.",
+    "estimate": "Which pose stands for the run, and what is known of the map's accuracy.",
+}
 
 
+@described
+@dataclass(frozen=True)
+class MotionModel:
+    """How far odometry is trusted (``motion``). Zero is allowed everywhere and means: exact.
+
+    Raises:
+        OptionError: a value that is negative or not finite.
+    """
+
+    alpha1: float = setting(
+        "motion", 0.04, "heading noise from turning", unit="rad^2 a rad^2", limits=(0.0, LONGEST)
+    )
+    alpha2: float = setting(
+        "motion", 0.02, "heading noise from driving", unit="rad^2 a m^2", limits=(0.0, LONGEST)
+    )
+    alpha3: float = setting(
+        "motion", 0.04, "position noise from driving", unit="m^2 a m^2", limits=(0.0, LONGEST)
+    )
+    alpha4: float = setting(
+        "motion", 0.01, "position noise from turning", unit="m^2 a rad^2", limits=(0.0, LONGEST)
+    )
+    position_floor: float = setting(
+        "motion",
+        0.02,
+        "standard deviation of x and of y that each step adds",
+        unit="metres",
+        limits=(0.0, LONGEST),
+    )
+    heading_floor: float = setting(
+        "motion",
+        0.01,
+        "standard deviation of the heading that each step adds",
+        unit=DEGREES,
+        limits=(0.0, LONGEST),
+    )
+    walk_position: float = setting(
+        "motion",
+        0.15,
+        "standard deviation along each axis of a step without odometry",
+        unit="metres",
+        limits=(0.0, LONGEST),
+    )
+    walk_heading: float = setting(
+        "motion",
+        0.12,
+        "standard deviation about each axis of a step without odometry",
+        unit=DEGREES,
+        limits=(0.0, LONGEST),
+    )
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+    def standard_deviations(
+        self, space: "StateSpace", increment: "FloatArray | None"
+    ) -> tuple[float, float]:
+        """Noise of one step: along each axis (metres) and of each angle (radians).
+
+        Args:
+            space: what a state is.
+            increment: ``(D,)`` in the body's frame; None: nobody knows.
+        """
+        if increment is None:
+            return self.walk_position, self.walk_heading
+        translation_squared = float((increment[: space.positions] ** 2).sum())
+        turn_squared = float((increment[space.positions :] ** 2).sum())
+        position_variance = (
+            self.alpha3 * translation_squared + self.alpha4 * turn_squared + self.position_floor**2
+        )
+        heading_variance = (
+            self.alpha1 * turn_squared + self.alpha2 * translation_squared + self.heading_floor**2
+        )
+        return math.sqrt(position_variance), math.sqrt(heading_variance)
+
+
+@described
 @dataclass(frozen=True)
 class LocalizerSettings:
     """Settings of the particle filter (Heigl, Denzler, Niemann 2001, equations (1) and (2)).
 
-    ``strategy_defaults("condensation")`` has what makes it the paper's.
+    Metres and radians. ``strategy_defaults("condensation")`` has what makes it the paper's.
 
     Attributes:
-        method: ``filter``, or ``pnp``: each image for itself, by its features (``pnp.py``); nothing
-            of the filter is used then.
-        with_pnp: whether the filter's frames carry the pose by features too, for comparison.
-        proposal: where ``informed`` looks for the body: where the scene's ``appearance`` is that of
-            the image, where the features say (``pnp``), or ``both``.
-        strategy: ``informed``, ``coarse_to_fine`` or ``condensation`` (the paper's filter, step by
-            step).
-        degrees_of_freedom: 3 (a robot on the floor) or 6.
-        particles: the number kept while tracking.
-        start_particles: hypotheses that a search begins with: particles (coarse_to_fine), or places
-            whose appearance is compared (informed); None: as ``START_PARTICLES`` says, or
-            ``particles`` where that is more.
-        start: the state around which to start, D numbers, metres and radians; None: anywhere.
-        start_position_sigma: standard deviation around ``start``, metres.
-        start_heading_sigma: standard deviation of the heading around that of ``start``, radians.
-        area: x_min, x_max, y_min, y_max to search in; None: the scene's bounds.
-        likelihood: the observation model.
-        motion: the motion model.
-        resampling: name of a scheme.
-        resampling_threshold: resample when the effective sample size falls below this share of the
-            particles; 1: at every step (coarse_to_fine).
-        smallest_effective_share: what an image leaves of the effective sample size
-            (coarse_to_fine).
-        shrink_factor: the fewest particles that remain from one frame to the next, as a share.
-        roughening: how far copies of a particle are spread (coarse_to_fine).
-        coarse_width, fine_width: pixels across in the comparison, searching and tracking.
-        refine_width: pixels across in the last step of the alignment; 0: no refined estimate.
-        blending: how the light field blends its views.
-        quality: how finely its surface follows the depth maps; None: ``medium`` where it has some.
-        estimate: the estimate that stands for the run.
-        map_position_sigma, map_heading_sigma: how accurate the map's poses are taken to be, metres
-            and radians; part of the refined estimate's covariance.
-        threads: of the comparison; None: all processors.
-        device: where it takes place.
+        motion: how far odometry is trusted.
+        likelihood: how a camera image is compared with a view.
 
     Raises:
         OptionError: a value that makes no sense.
     """
 
-    method: str = "filter"
-    with_pnp: bool = False
-    proposal: str = "appearance"
-    strategy: str = "informed"
-    degrees_of_freedom: int = 3
-    particles: int = 195
-    start_particles: int | None = None
-    start: tuple[float, ...] | None = None
-    start_position_sigma: float = 0.3
-    start_heading_sigma: float = math.radians(10.0)
-    area: tuple[float, float, float, float] | None = None
-    likelihood: Likelihood = LIKELIHOODS["evidence"]
+    method: str = setting(
+        "filter",
+        "filter",
+        "filter, or pnp: each image for itself, by SIFT features and their places in the map",
+        choices=METHODS,
+        is_common=True,
+    )
+    with_pnp: bool = setting(
+        "filter",
+        False,
+        "beside the filter, note the pose by features too, to compare",
+        is_common=True,
+    )
+    proposal: str = setting(
+        "filter",
+        "retrieval",
+        "where the strategy mixture looks for the robot: where the scene looks like the image "
+        "(retrieval), where its features say (pnp), or both",
+        choices=PROPOSALS,
+        former_values={"appearance": "retrieval"},
+        is_common=True,
+    )
+    strategy: str = setting(
+        "filter",
+        "mixture",
+        "mixture: mixture-proposal MCL, the image says where to look; coarse_to_fine: many "
+        "particles on small images first; condensation: the paper's filter, step by step",
+        choices=STRATEGIES,
+        former_values={"informed": "mixture"},
+        is_common=True,
+    )
+    degrees_of_freedom: int = setting(
+        "filter",
+        3,
+        "3: a robot on the floor; 6: a hand-held camera or a drone",
+        choices=DEGREES_OF_FREEDOM,
+        former=("dof",),
+        is_common=True,
+    )
+    particles: int = setting(
+        "filter", 195, "particles kept while tracking", limits=(1, MAX_PARTICLES), is_common=True
+    )
+    start_particles: int | None = setting(
+        "filter",
+        None,
+        "hypotheses that a search begins with; auto: 6000 (mixture: places that are compared), "
+        "20000 (coarse_to_fine), 195 (condensation), or as many as particles",
+        limits=(1, MAX_PARTICLES),
+        unset="auto",
+        is_common=True,
+    )
+    resampling: str = setting(
+        "filter",
+        "systematic",
+        "resampling scheme; multinomial with condensation, as in the paper",
+        choices=RESAMPLING_SCHEMES,
+        is_common=True,
+    )
+    resampling_threshold: float = setting(
+        "filter",
+        0.7,
+        "resample when the effective sample size falls below this share of the particles; 1: at "
+        "every step (coarse_to_fine)",
+        limits=(0.0, 1.0),
+    )
+    smallest_effective_share: float = setting(
+        "filter",
+        0.1,
+        "share of effective particles that an image leaves at least (coarse_to_fine)",
+        limits=(0.0, 0.5),
+    )
+    shrink_factor: float = setting(
+        "filter",
+        0.6,
+        "fewest particles that remain from one frame to the next, a share",
+        limits=(0.0, 1.0),
+    )
+    roughening: float = setting(
+        "filter",
+        1.0,
+        "how far copies of a particle are spread, a factor (coarse_to_fine)",
+        limits=(0.0, 10.0),
+    )
+    start: tuple[float, ...] | None = setting(
+        "start",
+        None,
+        "pose to start around: x, y, heading, or x, y, z and the rotation vector, in metres and "
+        "degrees; anywhere: in the whole area",
+        unset="anywhere",
+        former=("init", "pose"),
+        former_values={"uniform": "anywhere"},
+        kind=POSE,
+        is_common=True,
+    )
+    start_position_sigma: float = setting(
+        "start",
+        0.3,
+        "standard deviation of the position around start",
+        unit="metres",
+        limits=(0.0, LONGEST),
+        former=("position_sigma",),
+    )
+    start_heading_sigma: float = setting(
+        "start",
+        math.radians(10.0),
+        "standard deviation of the heading around start",
+        unit=DEGREES,
+        limits=(0.0, 180.0),
+        former=("heading_sigma_deg",),
+    )
+    area: tuple[float, float, float, float] | None = setting(
+        "start",
+        None,
+        "where the robot may be: x_min, x_max, y_min, y_max, metres; scene: what the model covers",
+        unset="scene",
+        kind=AREA,
+        is_common=True,
+    )
     motion: MotionModel = field(default_factory=MotionModel)
-    resampling: str = "systematic"
-    resampling_threshold: float = 0.7
-    smallest_effective_share: float = 0.1
-    shrink_factor: float = 0.6
-    roughening: float = 1.0
-    coarse_width: int = 20
-    fine_width: int = 40
-    refine_width: int = 160
-    blending: Blending = Blending.UNSTRUCTURED
-    quality: str | None = None
-    estimate: str = "refined"
-    map_position_sigma: float = 0.01
-    map_heading_sigma: float = math.radians(0.25)
-    threads: int | None = None
-    device: Device = Device.CPU
+    likelihood: Likelihood = LIKELIHOODS["evidence"]
+    blending: Blending = setting(
+        "rendering",
+        Blending.UNSTRUCTURED,
+        "how views are blended: by viewing angle (unstructured), or by the paper's mesh of "
+        "triangles (delaunay)",
+        is_common=True,
+    )
+    quality: str | None = setting(
+        "rendering",
+        None,
+        "how finely the surface follows the depth maps; auto: medium, plane without them",
+        choices=tuple(quality.name.lower() for quality in Quality),
+        unset="auto",
+        is_common=True,
+    )
+    coarse_width: int = setting(
+        "rendering",
+        20,
+        "width of compared images while searching",
+        unit="pixels",
+        limits=(4, MAX_WIDTH),
+    )
+    fine_width: int = setting(
+        "rendering",
+        40,
+        "width of compared images while tracking",
+        unit="pixels",
+        limits=(4, MAX_WIDTH),
+        former=("width",),
+        is_common=True,
+    )
+    refine_width: int = setting(
+        "rendering",
+        160,
+        "width of images in the last step of the alignment; 0: no refined estimate",
+        unit="pixels",
+        limits=(0, MAX_WIDTH),
+        is_common=True,
+    )
+    threads: int | None = setting(
+        "rendering",
+        None,
+        "threads of the comparison; changes no result",
+        limits=(1, MAX_THREADS),
+        unset="all",
+        is_common=True,
+    )
+    device: Device = setting(
+        "rendering",
+        Device.CPU,
+        "where views are rendered and compared; auto: on a GPU where there is one. A GPU needs pip "
+        'install "lfnav[gpu]"',
+        is_common=True,
+    )
+    estimate: str = setting(
+        "estimate",
+        "refined",
+        "the estimate that stands for the run: refined is aligned with the image; max_weight with "
+        "condensation, as in the paper",
+        choices=ESTIMATES,
+        former=("kind",),
+        is_common=True,
+    )
+    map_position_sigma: float = setting(
+        "estimate",
+        0.01,
+        "how accurate the positions of the map are, a standard deviation",
+        unit="metres",
+        limits=(0.0, LONGEST),
+    )
+    map_heading_sigma: float = setting(
+        "estimate",
+        math.radians(0.25),
+        "how accurate the headings of the map are, a standard deviation",
+        unit=DEGREES,
+        limits=(0.0, 180.0),
+    )
 
     def __post_init__(self) -> None:
-        check_fields(self)
-        _one_of("method", self.method, METHODS)
-        _one_of("proposal", self.proposal, PROPOSALS)
-        _one_of("strategy", self.strategy, STRATEGIES)
+        check_settings(self)
         self._check_pnp()
-        _one_of("resampling", self.resampling, tuple(SCHEMES))
-        _one_of("estimate", self.estimate, ESTIMATES)
-        if self.degrees_of_freedom not in DEGREES_OF_FREEDOM:
-            raise OptionError(f"{self.degrees_of_freedom} degrees of freedom are neither 3 nor 6")
-        quality_named(self.quality, has_depth=False, preferred=Quality.MEDIUM)
-        _within("number of particles", self.particles, 1, MAX_PARTICLES)
-        if self.start_particles is not None:
-            _within("number of particles at the start", self.start_particles, 1, MAX_PARTICLES)
         if self.strategy != "condensation" and self.search_particles < self.particles:
             raise OptionError(
                 f"the search cannot start with fewer particles ({self.search_particles}) than are "
                 f"kept ({self.particles})"
             )
-        _within("start position sigma", self.start_position_sigma, 0.0, 1e6)
-        _within("start heading sigma", self.start_heading_sigma, 0.0, math.pi)
-        _within("map position sigma", self.map_position_sigma, 0.0, 1e6)
-        _within("map heading sigma", self.map_heading_sigma, 0.0, math.pi)
-        _within("resampling threshold", self.resampling_threshold, 0.0, 1.0)
-        _within("smallest effective share", self.smallest_effective_share, 0.0, 0.5)
-        _within("shrink factor", self.shrink_factor, 0.0, 1.0)
-        _within("roughening", self.roughening, 0.0, 10.0)
-        _within("coarse width", self.coarse_width, 4, 4096)
-        _within("fine width", self.fine_width, 4, 4096)
         if self.coarse_width > self.fine_width:
             raise OptionError(
-                f"the coarse width {self.coarse_width} is larger than the fine width "
-                f"{self.fine_width}"
+                f"coarse_width {self.coarse_width} is larger than fine_width {self.fine_width}"
             )
-        if self.refine_width != 0:
-            _within("refine width", self.refine_width, self.fine_width, 4096)
-        if self.threads is not None:
-            _within("number of threads", self.threads, 1, MAX_THREADS)
+        if 0 < self.refine_width < self.fine_width:
+            raise OptionError(
+                f"refine_width {self.refine_width} is not between {self.fine_width}, which is "
+                f"fine_width, and {MAX_WIDTH}"
+            )
         if self.start is not None and len(self.start) != self.degrees_of_freedom:
             raise OptionError(
                 f"a start of {len(self.start)} numbers for {self.degrees_of_freedom} degrees of "
                 "freedom"
             )
-        if self.start is not None and not all(map(math.isfinite, self.start)):
-            raise OptionError(f"start {self.start} is not finite")
-        if self.area is not None:
-            _check_area(self.area)
+        if self.area is not None and not (
+            self.area[0] < self.area[1] and self.area[2] < self.area[3]
+        ):
+            raise OptionError(
+                f"area {','.join(f'{value:g}' for value in self.area)} is empty; "
+                "give x_min,x_max,y_min,y_max with min < max"
+            )
 
     def _check_pnp(self) -> None:
-        if self.method == "pnp" and (self.with_pnp or self.proposal != "appearance"):
+        if self.method == "pnp" and (self.with_pnp or self.proposal != "retrieval"):
             raise OptionError("method pnp runs without a filter, so that nothing is beside it")
-        if self.proposal != "appearance" and self.strategy != "informed":
+        if self.proposal != "retrieval" and self.strategy != "mixture":
             raise OptionError(
-                f"strategy {self.strategy} takes no proposals; {self.proposal} goes with informed"
+                f"strategy {self.strategy} takes no proposals; {self.proposal} goes with mixture"
             )
 
     @property
     def uses_pnp(self) -> bool:
         """Whether poses by features are needed."""
-        return self.method == "pnp" or self.with_pnp or self.proposal != "appearance"
+        return self.method == "pnp" or self.with_pnp or self.proposal != "retrieval"
 
     @property
     def search_particles(self) -> int:
@@ -169,8 +383,10 @@ class LocalizerSettings:
         return max(START_PARTICLES[self.strategy], self.particles)
 
     @property
-    def state_space(self) -> StateSpace:
+    def state_space(self) -> "StateSpace":
         """What a state is."""
+        from pipelines.localize.state_space import state_space_of_dimension
+
         return state_space_of_dimension(self.degrees_of_freedom)
 
     @property
@@ -201,7 +417,7 @@ def strategy_defaults(strategy: str) -> dict[str, Any]:
     and take the particle with the most weight.
 
     Args:
-        strategy: ``informed``, ``coarse_to_fine`` or ``condensation``, the paper's.
+        strategy: ``mixture``, ``coarse_to_fine`` or ``condensation``, the paper's.
 
     Returns:
         Field of ``LocalizerSettings`` -> value, ``strategy`` among them.
@@ -214,28 +430,7 @@ def strategy_defaults(strategy: str) -> dict[str, Any]:
         return {"strategy": strategy}
     return {
         "strategy": strategy,
-        "likelihood": replace(LIKELIHOODS["squared"], one_pixel_in=1),
+        "likelihood": replace(LIKELIHOODS["squared"], pixel_subsampling=1),
         "resampling": "multinomial",
         "estimate": "max_weight",
     }
-
-
-def _one_of(name: str, value: str, known: tuple[str, ...]) -> None:
-    if value not in known:
-        raise OptionError(f"{name} {quoted(value)} is none of {', '.join(known)}")
-
-
-def _within(name: str, value: float, low: float, high: float) -> None:
-    # Written so that NaN fails the test too.
-    if not low <= value <= high:
-        raise OptionError(f"{name} {value:g} is not between {low:g} and {high:g}")
-
-
-def _check_area(area: tuple[float, float, float, float]) -> None:
-    if not all(map(math.isfinite, area)):
-        raise OptionError(f"area {area} is not finite")
-    if area[0] >= area[1] or area[2] >= area[3]:
-        raise OptionError(
-            f"area {','.join(f'{value:g}' for value in area)} is empty; "
-            "give x_min,x_max,y_min,y_max with min < max"
-        )

@@ -1,14 +1,14 @@
 """The stage ``localize``: a scene model and a data set in, a run out."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pipelines.artifacts.arguments import (
-    PathLike,
+    check_fields,
     checked_instance,
     checked_number,
     checked_path,
@@ -31,9 +31,10 @@ from pipelines.lightfield.scene_file import load_scene
 from pipelines.localize.belief import Region
 from pipelines.localize.dataset_camera import camera_and_mount
 from pipelines.localize.description import RunSummary
+from pipelines.localize.landmarks import LandmarkSource
 from pipelines.localize.localizer import Localizer, region_of
 from pipelines.localize.map_heights import notes_on_heights
-from pipelines.localize.pnp import PnpLocalizer
+from pipelines.localize.pnp import MountedCamera, PnpLocalizer
 from pipelines.localize.pnp_frames import beside, pnp_record
 from pipelines.localize.run import FrameRecord, Run, save_run
 from pipelines.localize.scene_of_run import relative_scene_path
@@ -41,7 +42,6 @@ from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import StateSpace
 from pipelines.reconstruct.reconstruction import (
     DESCRIPTION_NAME,
-    Reconstruction,
     load_reconstruction,
 )
 from pipelines.render.devices import resolved_device
@@ -50,35 +50,85 @@ from pipelines.render.devices import resolved_device
 NO_ODOMETRY = Path("none")
 
 
-def localize(
-    scene_path: PathLike,
-    dataset_path: PathLike,
-    output: PathLike,
-    settings: LocalizerSettings | None = None,
-    *,
-    seed: int = 0,
-    odometry: PathLike | None = None,
-    overwrite: bool = False,
-    progress: Progress = no_progress,
-    reconstruction: PathLike | None = None,
-    ignore_odometry: bool = False,
-    mask: PathLike | None = None,
-) -> RunSummary:
+@dataclass(frozen=True)
+class LocalizeRequest:
+    """What is to be localized in what. Paths may be given as texts.
+
+    Attributes:
+        scene: scene model, made by ``model``.
+        dataset: folder with images, camera with mount, odometry.
+        output: the file to be written, ``run.h5``.
+        settings: of the particle filter.
+        seed: of the filter's random numbers, not negative.
+        odometry: TUM file to use instead of the data set's own; None: the data set's own.
+        ignore_odometry: whether to do without the data set's odometry.
+        mask: file to use instead of the data set's own; None: the data set's own.
+        reconstruction: folder of the scene's reconstruction, whose points PnP then uses; None: PnP
+            takes the scene's surface.
+        overwrite: whether an existing file may be replaced.
+
+    Raises:
+        OptionError: a value of another type.
+    """
+
+    scene: Path
+    dataset: Path
+    output: Path
+    settings: LocalizerSettings = field(default_factory=LocalizerSettings)
+    seed: int = 0
+    odometry: Path | None = None
+    ignore_odometry: bool = False
+    mask: Path | None = None
+    reconstruction: Path | None = None
+    overwrite: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("scene", "dataset", "output", "odometry", "mask", "reconstruction"):
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, checked_path(value, name))
+        check_fields(self)
+        checked_number(self.seed, "seed", 0, whole=True)
+
+    @property
+    def odometry_source(self) -> Path:
+        """Where the odometry is read, or how errors say that there is none."""
+        if self.ignore_odometry:
+            return NO_ODOMETRY
+        return self.odometry if self.odometry is not None else self.dataset / ODOMETRY_FILE
+
+
+@dataclass(frozen=True)
+class RunOrigin:
+    """Where a run comes from.
+
+    Attributes:
+        scene_path: how the run refers to its scene: from the folder in which the run is stored.
+        odometry: the odometry's file, for errors; None: that of the data set.
+        record: the run's provenance, plain JSON types; None: versions and settings.
+
+    Raises:
+        OptionError: a value of another type.
+    """
+
+    scene_path: str = ""
+    odometry: Path | None = None
+    record: dict[str, Any] | None = None
+
+    def __post_init__(self) -> None:
+        checked_instance(self.scene_path, "scene_path", str)
+        if self.odometry is not None:
+            checked_instance(self.odometry, "odometry", Path)
+        if self.record is not None:
+            checked_instance(self.record, "record", dict)
+
+
+def localize(request: LocalizeRequest, progress: Progress = no_progress) -> RunSummary:
     """Localizes the robot in every frame of a data set and writes the run.
 
     Args:
-        scene_path: scene model, made by ``model``.
-        dataset_path: folder with images, camera with mount, odometry.
-        output: the file to be written, ``run.h5``.
-        settings: of the filter; None: the defaults.
-        seed: of the filter's random numbers, not negative.
-        odometry: TUM file to use instead of the data set's own; None: the data set's own.
-        overwrite: whether an existing file may be replaced.
+        request: what is localized in what, and with which settings.
         progress: told how far the work is.
-        reconstruction: folder of the scene's reconstruction, whose points PnP then uses; None: PnP
-            takes the scene's surface.
-        ignore_odometry: whether to do without the data set's odometry.
-        mask: file to use instead of the data set's own; None: the data set's own.
 
     Returns:
         What a person or a program wants to know of the run: ``table()``, ``to_dict()``.
@@ -87,55 +137,42 @@ def localize(
         InputError: an input cannot be used, or the output not be written.
         OptionError: settings that make no sense for this scene, or an argument of another type.
     """
-    scene_path = checked_path(scene_path, "the scene's path")
-    dataset_path = checked_path(dataset_path, "the data set's path")
-    output = checked_path(output, "the run's path")
-    odometry, reconstruction, mask = (
-        None if path is None else checked_path(path, f"the {name}'s path")
-        for name, path in (
-            ("odometry", odometry),
-            ("reconstruction", reconstruction),
-            ("mask", mask),
-        )
-    )
-    settings = LocalizerSettings() if settings is None else settings
-    checked_instance(settings, "settings", LocalizerSettings)
-    check_output(output, overwrite)
-    checked_number(seed, "seed", 0, whole=True)
+    checked_instance(request, "the request", LocalizeRequest)
+    settings, reconstruction = request.settings, request.reconstruction
+    check_output(request.output, request.overwrite)
     if reconstruction is not None and not settings.uses_pnp:
         raise OptionError("a reconstruction is of use to PnP alone, which nothing asks for")
-    scene = load_scene(scene_path)
+    scene = load_scene(request.scene)
     points = None if reconstruction is None else load_reconstruction(reconstruction)
-    dataset = load_dataset(dataset_path, odometry=odometry, mask=mask)
-    if ignore_odometry:
+    dataset = load_dataset(request.dataset, odometry=request.odometry, mask=request.mask)
+    if request.ignore_odometry:
         dataset = replace(dataset, odometry=None)
     if settings.method == "filter":
         # The file says where it was computed: another device rounds differently.
         settings = replace(settings, device=resolved_device(settings.device))
-    source = odometry if odometry is not None else dataset_path / ODOMETRY_FILE
-    if ignore_odometry:
-        source = NO_ODOMETRY
     inputs = {"scene": scene.identifier}
     if dataset.odometry is not None:
-        inputs["odometry"] = sha256_of_file(source)
+        inputs["odometry"] = sha256_of_file(request.odometry_source)
     if dataset.mask is not None:
         inputs["mask"] = dataset.mask.sha256
     if reconstruction is not None:
         inputs["reconstruction"] = sha256_of_file(reconstruction / DESCRIPTION_NAME)
+    origin = RunOrigin(
+        relative_scene_path(request.scene, request.output),
+        request.odometry_source,
+        provenance("localize", {**settings.to_dict(), "seed": request.seed}, inputs),
+    )
     run = localize_dataset(
         scene,
         dataset,
         settings,
-        seed=seed,
-        odometry_source=source,
-        scene_path=relative_scene_path(scene_path, output),
-        record=provenance("localize", {**settings.to_dict(), "seed": seed}, inputs),
+        seed=request.seed,
+        origin=origin,
         progress=progress,
-        reconstruction=points,
-        reconstruction_path=str(reconstruction),
+        landmarks=None if points is None else LandmarkSource(scene, points, str(reconstruction)),
     )
-    save_run(output, run, overwrite)
-    return RunSummary(output, run)
+    save_run(request.output, run, request.overwrite)
+    return RunSummary(request.output, run)
 
 
 def localize_dataset(
@@ -144,26 +181,20 @@ def localize_dataset(
     settings: LocalizerSettings | None = None,
     *,
     seed: int = 0,
-    odometry_source: Path | None = None,
-    scene_path: str = "",
-    record: dict[str, Any] | None = None,
+    origin: RunOrigin | None = None,
     progress: Progress = no_progress,
-    reconstruction: Reconstruction | None = None,
-    reconstruction_path: str = "reconstruction",
+    landmarks: LandmarkSource | None = None,
 ) -> Run:
     """Localizes the robot in every frame of a data set, in memory.
 
     Args:
         scene: the light field.
         dataset: with camera, mount and odometry, and a mask where there is one.
-        settings: of the filter; None: the defaults.
+        settings: of the particle filter; None: the defaults.
         seed: of the filter's random numbers, not negative.
-        odometry_source: how errors name the odometry's file; None: as the data set's own.
-        scene_path: how the run refers to its scene: from the folder in which the run is stored.
-        record: the run's provenance, plain JSON types; None: versions and settings.
+        origin: where the data come from; None: the data set itself.
         progress: told how far the work is.
-        reconstruction: the scene's, whose points PnP then uses; None: the scene's surface.
-        reconstruction_path: how errors name it.
+        landmarks: of the features that PnP uses; None: from the scene's surface.
 
     Raises:
         InputError: the data set lacks camera, mount or odometry, its odometry is not that of a
@@ -175,33 +206,31 @@ def localize_dataset(
     checked_instance(dataset, "the data set", Dataset)
     checked_instance(settings, "settings", LocalizerSettings)
     checked_number(seed, "seed", 0, whole=True)
-    if odometry_source is None:
-        odometry_source = dataset.root / ODOMETRY_FILE
+    origin = RunOrigin() if origin is None else checked_instance(origin, "origin", RunOrigin)
+    odometry = dataset.root / ODOMETRY_FILE if origin.odometry is None else origin.odometry
+    record = origin.record
     if record is None:
         inputs = {"scene": scene.identifier}
         record = provenance("localize", {**settings.to_dict(), "seed": seed}, inputs)
     space = settings.state_space
     camera, mount = camera_and_mount(dataset, space)
     mask = None if dataset.mask is None else dataset.mask.used
-    notes = list(check_odometry(dataset, settings, odometry_source))
+    notes = list(check_odometry(dataset, settings, odometry))
     if space.angles == 1:
         notes += notes_on_heights(scene, float(mount[2, 3]))
     body_poses = None
     if dataset.odometry is not None:
-        body_poses = poses_at_images(dataset, dataset.odometry, odometry_source)
+        body_poses = poses_at_images(dataset, dataset.odometry, odometry)
     pnp = None
     if settings.uses_pnp:
         pnp = PnpLocalizer(
             scene,
-            camera,
-            mount,
+            LandmarkSource(scene, None) if landmarks is None else landmarks,
+            MountedCamera(camera, mount, mask),
             space,
             seed=seed,
             threads=settings.threads,
-            reconstruction=reconstruction,
-            reconstruction_path=reconstruction_path,
             progress=progress,
-            mask=mask,
         )
     rng = np.random.default_rng(seed)
     localizer = None
@@ -219,7 +248,7 @@ def localize_dataset(
         notes += localizer.notes
     return Run(
         scene_identifier=scene.identifier,
-        scene_path=scene_path,
+        scene_path=origin.scene_path,
         dataset_name=dataset.root.resolve().as_posix().split("/")[-1],
         camera=camera,
         base_from_camera=mount,
@@ -292,7 +321,7 @@ def _locator(
         answer = pnp.locate(image)
         if localizer is None:
             return pnp_record(answer, region, settings, rng, time, name)
-        hypotheses = None if settings.proposal == "appearance" else answer.hypotheses
+        hypotheses = None if settings.proposal == "retrieval" else answer.hypotheses
         record = localizer.step(image, increment, time, name, hypotheses)
         return beside(record, answer, noted=settings.with_pnp)
 

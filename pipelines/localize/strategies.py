@@ -10,7 +10,7 @@ image. The number of particles is constant.
 at first, a likelihood that is kept from killing all but one of them, fewer particles as the belief
 narrows.
 
-``informed`` is mixture-proposal Monte Carlo localization (``mixture_mcl``), and is the default.
+``mixture`` is mixture-proposal Monte Carlo localization (``mixture_mcl``), and is the default.
 """
 
 from dataclasses import dataclass
@@ -30,7 +30,6 @@ from pipelines.localize.belief import (
 )
 from pipelines.localize.estimate import Mode, find_modes
 from pipelines.localize.kld_sampling import next_count, roughened
-from pipelines.localize.likelihood import tempered
 from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.motion import checked_increment, predict
 from pipelines.localize.observation import Observations
@@ -39,6 +38,7 @@ from pipelines.localize.places import compressed
 from pipelines.localize.resampling import resample
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import StateSpace
+from pipelines.localize.tempering import tempered
 
 # An image with so much evidence for some place may show the map, although one alone does not prove
 # it; natural units.

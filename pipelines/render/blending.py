@@ -14,8 +14,6 @@ candidates are selected first: the best view at each of a few points all over th
 choose among the candidates, and so may miss a view that is the best for one corner alone.
 """
 
-from enum import IntEnum
-
 import numpy as np
 
 from pipelines.artifacts.arrays import BoolArray, FloatArray, IntArray
@@ -23,14 +21,6 @@ from pipelines.lightfield.view_penalties import border_penalties, ray_penalties,
 from pipelines.lightfield.views import Views
 from pipelines.render.delaunay_mesh import PixelWeights
 from pipelines.render.view_mapping import ViewMapping
-
-
-class Blending(IntEnum):
-    """The blending rules."""
-
-    DELAUNAY = 0
-    UNSTRUCTURED = 1
-
 
 # Tiles are so many pixels wide and high, but there are never fewer or more of them than this.
 TILE_SIDE = 5

@@ -18,14 +18,13 @@ a photo's pyramid, so that a neighbourhood is as many pixels wide as in the imag
 compared with.
 """
 
-from enum import Enum
-
 import cv2
 import numpy as np
 
 from pipelines.artifacts.arrays import BoolArray, Float32Array, ImageArray
 from pipelines.artifacts.processes import in_threads
 from pipelines.lightfield.views import Views
+from pipelines.render.choices import Channels
 
 # Side of the neighbourhood, pixels.
 WINDOW = 5
@@ -41,16 +40,6 @@ ZERO, SCALE = 128.0, 40.0
 ONE = np.ones((), dtype=np.float32)
 # Luma of ITU-R BT.601.
 LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
-
-
-class Channels(Enum):
-    """What is compared."""
-
-    COLOUR = "colour"
-    CONTRAST = "contrast"
-    GRADIENT = "gradient"
-    MIXED = "mixed"
-    CHROMA = "chroma"
 
 
 def channel_image(

@@ -11,7 +11,6 @@ view covers adds 0, so that a pose that sees nothing of the map gains nothing.
 """
 
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 
@@ -19,24 +18,7 @@ from pipelines.artifacts.arrays import BoolArray, Float32Array, ImageArray, Int3
 from pipelines.artifacts.errors import OptionError
 from pipelines.geometry.camera import Intrinsics
 from pipelines.native import image_cost
-
-
-class Cost(IntEnum):
-    """The kinds of comparison.
-
-    SQUARED: mean squared colour difference, the paper's, relative to 255^2.
-    ROBUST: mean absolute colour difference, each limited to ``ROBUST_LIMIT``, relative to that.
-    ZNCC: (1 - zero-mean normalised cross-correlation) / 2, over all three channels together.
-    GRADIENT: mean absolute difference of horizontal and vertical gradients, limited like ROBUST.
-    EVIDENCE: minus the sum of the pixels' logarithms of a likelihood ratio; not limited to [0, 1].
-    """
-
-    SQUARED = 0
-    ROBUST = 1
-    ZNCC = 2
-    GRADIENT = 3
-    EVIDENCE = 4
-
+from pipelines.render.choices import Cost
 
 # Grey levels of 255. Differences beyond the limit are outliers, however large.
 ROBUST_LIMIT = 64.0

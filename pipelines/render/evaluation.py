@@ -19,7 +19,7 @@ from pipelines.dataset.dataset import load_dataset
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_scene
 from pipelines.lightfield.views import views_of_scene
-from pipelines.render.blending import Blending
+from pipelines.render.choices import Blending, Quality
 from pipelines.render.held_out import (
     HeldOut,
     lie_amid_others,
@@ -28,7 +28,7 @@ from pipelines.render.held_out import (
 )
 from pipelines.render.image_quality import psnr, ssim
 from pipelines.render.renderer import Renderer
-from pipelines.render.surface import ROTATION_COST, Quality, quality_named
+from pipelines.render.surface import ROTATION_COST, quality_named
 
 METHODS = ("light_field", "plane", "nearest_photo")
 MEASURES = ("psnr_db", "ssim", "coverage")

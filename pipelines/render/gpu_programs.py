@@ -13,8 +13,7 @@ import wgpu
 
 from pipelines.lightfield import view_penalties
 from pipelines.render import blending, comparison, delaunay_mesh, reference, surface
-from pipelines.render.blending import Blending
-from pipelines.render.comparison import Cost
+from pipelines.render.choices import Blending, Cost
 from pipelines.render.gpu_device import Gpu, Program, gpu_errors
 
 Constant = bool | int | float

@@ -26,8 +26,8 @@ from pipelines.artifacts.arrays import (
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
 from pipelines.lightfield.views import Views
-from pipelines.render.blending import Blending
-from pipelines.render.comparison import Cost, PixelEvidence, check_query, evidence_table
+from pipelines.render.choices import Blending, Cost, Quality
+from pipelines.render.comparison import PixelEvidence, check_query, evidence_table
 from pipelines.render.gpu_device import (
     UNIFORM,
     Gpu,
@@ -50,7 +50,7 @@ from pipelines.render.gpu_work import (
     tiles_of,
 )
 from pipelines.render.renderer import Renderer, Rendering, checked_view
-from pipelines.render.surface import Quality, grid_spacing
+from pipelines.render.surface import grid_spacing
 
 POSE_BYTES = 48
 # The most poses and costs that are on the GPU at a time.

@@ -24,11 +24,11 @@ from pipelines.render.blending import (
     MOST_RANKED,
     OCCLUSION_FACTOR,
     SMALLEST_PENALTY,
-    Blending,
     candidate_positions,
     tile_borders,
 )
 from pipelines.render.candidate_views import ViewIndex
+from pipelines.render.choices import Blending, Quality
 from pipelines.render.comparison import (
     EVIDENCE_BIN,
     EVIDENCE_BINS,
@@ -47,7 +47,6 @@ from pipelines.render.surface import (
     PINHOLE_NEIGHBOURS,
     ROTATION_COST,
     SOURCE_VIEWS,
-    Quality,
     grid_spacing,
 )
 

@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 from pipelines.artifacts.arrays import Float32Array, FloatArray, IntArray
 from pipelines.artifacts.processes import in_threads
 from pipelines.lightfield.views import Views, area_average
-from pipelines.render.channels import Channels, channel_image
+from pipelines.render.channels import channel_image
+from pipelines.render.choices import Channels
 from pipelines.render.comparison import (
     EVIDENCE_BIN,
     EVIDENCE_BINS,

@@ -10,9 +10,10 @@ from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane, plane_inverse_depth
 from pipelines.lightfield.view_penalties import sees
 from pipelines.lightfield.views import Views, without_depth
-from pipelines.render.blending import Blending, occluded, unstructured_weights
+from pipelines.render.blending import occluded, unstructured_weights
+from pipelines.render.choices import Blending, Quality
 from pipelines.render.delaunay_mesh import PixelWeights, pixel_weights, project_centres
-from pipelines.render.surface import Quality, depth_inverse_depth
+from pipelines.render.surface import depth_inverse_depth
 from pipelines.render.view_mapping import ViewMapping
 
 # A view is in the mesh when it sees any of a grid of so many by so many points of the surface.

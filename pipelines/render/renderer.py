@@ -25,11 +25,11 @@ from pipelines.geometry.plane import Plane
 from pipelines.geometry.pose import checked_poses
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.views import Views, views_of_scene, without_depth, without_view
-from pipelines.render.blending import Blending
 from pipelines.render.candidate_views import build_index
-from pipelines.render.comparison import Cost, PixelEvidence, every_pixel, prepare_query
+from pipelines.render.choices import Blending, Cost, Quality
+from pipelines.render.comparison import PixelEvidence, every_pixel, prepare_query
 from pipelines.render.native_renderer import NativeRenderer
-from pipelines.render.surface import Quality, median_inverse_depth
+from pipelines.render.surface import median_inverse_depth
 
 # The most poses that are compared in one call of the core: enough to make its cost small, few
 # enough to share work evenly between threads. Where images are kept it is a number of pixels.

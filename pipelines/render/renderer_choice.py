@@ -6,10 +6,9 @@ from pipelines.artifacts.arguments import checked_instance
 from pipelines.artifacts.errors import StageError
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.views import Views, views_of_scene
-from pipelines.render.blending import Blending
+from pipelines.render.choices import Blending, Quality
 from pipelines.render.devices import Device, chosen_gpu
 from pipelines.render.renderer import Renderer
-from pipelines.render.surface import Quality
 
 logger = logging.getLogger(__name__)
 

@@ -18,11 +18,11 @@ from pipelines.geometry.pose import base_from_camera_mount, world_from_base_plan
 from pipelines.geometry.trajectory import read_tum
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_scene
-from pipelines.render.blending import Blending
+from pipelines.render.choices import Blending, Quality
 from pipelines.render.devices import Device
 from pipelines.render.renderer import Rendering
 from pipelines.render.renderer_choice import renderer_of_scene
-from pipelines.render.surface import Quality, quality_named
+from pipelines.render.surface import quality_named
 
 LISTING = "views.txt"
 VIDEO_SUFFIX = ".mp4"

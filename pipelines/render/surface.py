@@ -7,8 +7,6 @@ the surface is approximated for every virtual view, and only where it is seen. `
 spacing of the grid. This is the readable version; ``native/depth_surface.hpp`` is the fast one.
 """
 
-from enum import IntEnum
-
 import numpy as np
 
 from pipelines.artifacts.arguments import checked_choice, checked_instance
@@ -16,15 +14,7 @@ from pipelines.artifacts.arrays import FloatArray, IntArray
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.pose import inverse
 from pipelines.lightfield.views import ViewArrays, Views
-
-
-class Quality(IntEnum):
-    """Spacing of the depth grid in pixels of the virtual image; 0: one plane for everything."""
-
-    PLANE = 0
-    FINE = 1
-    MEDIUM = 2
-    COARSE = 4
+from pipelines.render.choices import Quality
 
 
 def quality_named(name: str | None, has_depth: bool, preferred: Quality) -> Quality:

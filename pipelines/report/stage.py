@@ -13,8 +13,9 @@ from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_scene, scene_provenance
 from pipelines.localize.run import Run, load_run
 from pipelines.localize.scene_of_run import check_run_belongs_to, locate_scene
+from pipelines.render.choices import Quality
 from pipelines.render.renderer import Renderer
-from pipelines.render.surface import Quality, quality_named
+from pipelines.render.surface import quality_named
 from pipelines.report.animation import animation
 from pipelines.report.content import page_of
 from pipelines.report.docking import docking_figure

@@ -35,7 +35,6 @@ from tests.report_samples import facing_wall
 
 def near_wall(**changes: Any) -> DockSettings:
     values: dict[str, Any] = {
-        "start": tuple(START),
         "least_distance": 0.4,
         "staging_distance": 0.5,
         **changes,
@@ -68,7 +67,7 @@ def test_a_robot_is_docked(drive: str, tmp_path: Any) -> None:
     start = START if drive == "omni" else facing_wall(0.2, 2.0, 0.2)
     robot, reports = PaintedRobot(start), list[Report]()
     docking, run = docked(
-        robot, near_wall(drive=drive, start=tuple(start)), listener=reports.append
+        robot, near_wall(drive=drive), listener=reports.append, start=tuple(start)
     )
     assert docking.outcome.kind is OutcomeKind.DOCKED
     check_docked(robot)
@@ -89,7 +88,7 @@ def test_a_robot_is_docked(drive: str, tmp_path: Any) -> None:
 
 def test_it_finds_the_wall_when_it_starts_with_its_back_to_it() -> None:
     robot = PaintedRobot(facing_wall(0.2, 1.9, turn=math.pi))
-    docking, _ = docked(robot, near_wall(start=None))
+    docking, _ = docked(robot, near_wall(), start=None)
     assert docking.outcome.kind is OutcomeKind.DOCKED
     check_docked(robot)
     # Until it was localized it rotated on the spot and did not drive.
@@ -100,7 +99,7 @@ def test_it_finds_the_wall_when_it_starts_with_its_back_to_it() -> None:
 
 def test_a_robot_that_is_told_a_wrong_start_finds_out() -> None:
     robot = PaintedRobot(facing_wall(-0.6, 2.2))
-    docking, _ = docked(robot, near_wall(start=tuple(facing_wall(1.8, 0.9, turn=0.6))))
+    docking, _ = docked(robot, near_wall(), start=tuple(facing_wall(1.8, 0.9, turn=0.6)))
     assert docking.outcome.kind is OutcomeKind.DOCKED
     check_docked(robot)
 
@@ -130,7 +129,7 @@ def test_it_waits_until_people_have_walked_on(drive: str, step: int) -> None:
     start = START if drive == "omni" else facing_wall(0.3, 2.0, 0.2)
     inner = PaintedRobot(start)
     robot = FaultyRobot(inner, "people", step)
-    docking, _ = docked(robot, near_wall(drive=drive, start=tuple(start)))
+    docking, _ = docked(robot, near_wall(drive=drive), start=tuple(start))
     assert docking.outcome.kind is OutcomeKind.DOCKED
     check_docked(inner)
     states = [entry.state for entry in docking.entries]
@@ -217,7 +216,7 @@ def test_a_camera_that_hangs_ends_the_docking_before_the_robot_goes_far() -> Non
 
 def test_outside_of_the_area() -> None:
     robot = PaintedRobot()
-    docking, _ = docked(robot, near_wall(area=(-0.2, 1.0, -2.8, -0.3)))
+    docking, _ = docked(robot, near_wall(), area=(-0.2, 1.0, -2.8, -0.3))
     assert docking.outcome.kind is OutcomeKind.OUT_OF_AREA
     assert robot.is_stopped
     assert robot.commands == []
@@ -250,7 +249,7 @@ class Snow(PaintedRobot):
 
 def test_lost() -> None:
     robot = Snow()
-    docking, _ = docked(robot, near_wall(start=None, max_search=14))
+    docking, _ = docked(robot, near_wall(max_search=14), start=None)
     assert docking.outcome.kind is OutcomeKind.LOST
     assert robot.is_stopped
     # It never drives towards a guess; it may only back away.
@@ -301,7 +300,7 @@ def test_a_goal_where_no_robot_can_be(goal: FloatArray, words: str) -> None:
 
 def test_a_goal_behind_the_surface() -> None:
     with pytest.raises(OptionError, match="inside the scene's surface"):
-        docked(PaintedRobot(), near_wall(area=(-3.0, 3.0, -3.0, 3.0)), facing_wall(0.0, -0.5))
+        docked(PaintedRobot(), near_wall(), facing_wall(0.0, -0.5), area=(-3.0, 3.0, -3.0, 3.0))
 
 
 @pytest.mark.parametrize(

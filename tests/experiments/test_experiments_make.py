@@ -193,11 +193,11 @@ def test_the_settings_of_a_model_do_not_touch_the_reconstruction(built: Workspac
 
 def test_settings_reach_the_command(built: Workspace) -> None:
     name = "experiments/settings/elevators/figures.flags"
-    (built.root / name).write_text("# a comment\n--particles 77\n--likelihood zncc\n")
+    (built.root / name).write_text("# a comment\n--particles 77\n--cost zncc\n")
     built.change(name)
     calls = [call for call in built.make() if call.startswith("localize")]
     assert len(calls) == 2
-    assert all("--particles 77 --likelihood zncc" in call for call in calls)
+    assert all("--particles 77 --cost zncc" in call for call in calls)
 
 
 def test_seeds_reach_the_sweeps(built: Workspace) -> None:

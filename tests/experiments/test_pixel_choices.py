@@ -9,7 +9,8 @@ from benchmarks.scenes import ROOT, workshop_scene
 from pipelines.artifacts.errors import InputError
 from pipelines.dataset.dataset import load_dataset
 from pipelines.experiments.pixel_choices import CHOICES, costs_by_some, errors_of_choices
-from pipelines.render.comparison import Cost, prepared
+from pipelines.render.choices import Cost
+from pipelines.render.comparison import prepared
 from pipelines.render.renderer import Renderer
 from tests.lightfield_samples import WALL, looking, noise_views, pinhole
 

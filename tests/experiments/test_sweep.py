@@ -34,7 +34,7 @@ particles = 30
 [filter]
 strategy = "condensation"
 [start]
-pose = [-3.30, -4.30, 66]
+start = [-3.30, -4.30, 66]
 [rendering]
 fine_width = 20
 [[dataset]]
@@ -130,7 +130,7 @@ def test_runs_that_break_are_reported_and_stop_nobody(swept: Swept) -> None:
 
 def test_a_run_of_a_sweep_is_the_run_of_the_other_commands(swept: Swept, tmp_path: Path) -> None:
     root, run = swept.root, tmp_path / "run.h5"
-    start = next(line for line in CONFIG.splitlines() if line.startswith("pose"))
+    start = next(line for line in CONFIG.splitlines() if line.startswith("start = "))
     text = f"[start]\n{start}\n[rendering]\nfine_width = 20\n"
     (tmp_path / "settings.toml").write_text(text, encoding="utf-8")
     options = ("--strategy", "condensation", "--particles", "30", "--seed", "4")
@@ -200,7 +200,7 @@ def test_tables_say_which_pixels_were_compared_where_not_the_usual_ones(
     runs = planned_runs(read_sweep_config(tmp_path / "sweep.toml"), no_progress)
     assert {run.setup.likelihood for run in runs} == {
         "squared, all pixels",
-        "squared, one pixel in 2",
+        "squared, pixel subsampling 2",
         "squared",
     }
 
@@ -260,9 +260,9 @@ def test_features_stand_beside_the_filter_and_are_sought_once(tmp_path: Path) ->
     ]
     assert [(line["odometry"], line["method"], line["strategy"]) for line in lines] == [
         ("odometry.txt", "pnp", None),
-        ("odometry.txt", "filter", "informed"),
+        ("odometry.txt", "filter", "mixture"),
         ("odometry_perturbed.txt", "pnp", None),
-        ("odometry_perturbed.txt", "filter", "informed"),
+        ("odometry_perturbed.txt", "filter", "mixture"),
     ]
     assert len(results(output)) == 3
     assert {**lines[0], "odometry": ""} == {**lines[2], "odometry": ""}

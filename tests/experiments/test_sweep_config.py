@@ -1,5 +1,6 @@
 """What a sweep is asked for: read, multiplied out, refused in one line."""
 
+import logging
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from pipelines.experiments.config_tables import parse_seeds
 from pipelines.experiments.sweep_config import read_sweep_config
 from pipelines.localize.likelihood import LIKELIHOODS
 from pipelines.localize.stage import NO_ODOMETRY
-from pipelines.render.comparison import Cost
+from pipelines.render.choices import Cost
 
 DATASET = '[[dataset]]\nscene = "scene.h5"\npath = "drives/lobby"\n'
 
@@ -28,8 +29,8 @@ def test_everything_is_combined_with_everything(tmp_path: Path) -> None:
             """
             [sweep]
             seeds = "3-5"
-            strategy = ["informed", "condensation"]
-            likelihood = ["zncc", "squared"]
+            strategy = ["mixture", "condensation"]
+            cost = ["zncc", "squared"]
             particles = [50, 195, 500]
             [filter]
             resampling = "stratified"
@@ -37,7 +38,7 @@ def test_everything_is_combined_with_everything(tmp_path: Path) -> None:
             alpha1 = 0.5
             [likelihood]
             cost = "zncc"
-            sharpness = 7
+            inverse_temperature = 7
             [[dataset]]
             name = "lobby"
             scene = "scene.h5"
@@ -53,10 +54,10 @@ def test_everything_is_combined_with_everything(tmp_path: Path) -> None:
     combinations = {(s.strategy, s.likelihood.cost, s.particles) for s in config.settings}
     assert len(config.settings) == len(combinations) == 12
     assert all(s.resampling == "stratified" and s.motion.alpha1 == 0.5 for s in config.settings)
-    # The sharpness that was chosen belongs to the comparison that was chosen.
+    # The inverse temperature that was chosen belongs to the comparison that was chosen.
     for settings in config.settings:
         is_zncc = settings.likelihood.cost is Cost.ZNCC
-        assert settings.likelihood.sharpness == (7.0 if is_zncc else 800.0)
+        assert settings.likelihood.inverse_temperature == (7.0 if is_zncc else 800.0)
     lobby, hall = config.datasets
     assert (lobby.name, lobby.scene) == ("lobby", tmp_path / "scene.h5")
     assert lobby.odometry == (
@@ -68,9 +69,9 @@ def test_everything_is_combined_with_everything(tmp_path: Path) -> None:
 
 
 def test_what_is_not_varied_is_the_strategys_default(tmp_path: Path) -> None:
-    text = '[sweep]\nseeds = [4]\nstrategy = ["condensation", "informed"]\n' + DATASET
+    text = '[sweep]\nseeds = [4]\nstrategy = ["condensation", "mixture"]\n' + DATASET
     paper, default = read_sweep_config(written(tmp_path, text)).settings
-    every_pixel = replace(LIKELIHOODS["squared"], one_pixel_in=1)
+    every_pixel = replace(LIKELIHOODS["squared"], pixel_subsampling=1)
     assert (paper.likelihood, paper.estimate) == (every_pixel, "max_weight")
     assert (default.likelihood, default.estimate) == (LIKELIHOODS["evidence"], "refined")
     one = read_sweep_config(written(tmp_path, "[sweep]\nseeds = 3\nparticles = 9\n" + DATASET))
@@ -82,9 +83,9 @@ def test_only_what_has_a_meaning_is_combined(tmp_path: Path) -> None:
     [sweep]
     seeds = 1
     method = ["filter", "pnp"]
-    strategy = ["condensation", "coarse_to_fine", "informed"]
-    proposal = ["appearance", "both"]
-    likelihood = ["robust", "zncc"]
+    strategy = ["condensation", "coarse_to_fine", "mixture"]
+    proposal = ["retrieval", "both"]
+    cost = ["robust", "zncc"]
     particles = [50, 195]
     """
     config = read_sweep_config(written(tmp_path, text + DATASET))
@@ -94,10 +95,10 @@ def test_only_what_has_a_meaning_is_combined(tmp_path: Path) -> None:
     # Two likelihoods and two numbers of particles for each.
     assert len(config.settings) == 1 + 4 * 4
     assert found == {
-        ("condensation", "appearance"),
-        ("coarse_to_fine", "appearance"),
-        ("informed", "appearance"),
-        ("informed", "both"),
+        ("condensation", "retrieval"),
+        ("coarse_to_fine", "retrieval"),
+        ("mixture", "retrieval"),
+        ("mixture", "both"),
     }
 
 
@@ -146,11 +147,17 @@ def test_spans_include_both_ends() -> None:
         (f"[sweep]\nseeds = 1\n{DATASET}odometry = [1]\n", "odometry is not a list of file names"),
         (f"[sweep]\nseeds = 1\n{DATASET}odometry = []\n", "data set 1: odometry is empty"),
         (f"[sweep]\nseeds = 1\n{DATASET}{DATASET}", "same name: drives/lobby is there twice"),
-        ("[sweep]\nseeds = 1\nstrategy = 'magic'\n" + DATASET, r"\[sweep\]: strategy 'magic'"),
-        ("[sweep]\nseeds = 1\nmethod = 'gps'\n" + DATASET, r"\[sweep\]: method 'gps' is none of"),
+        (
+            "[sweep]\nseeds = 1\nstrategy = 'magic'\n" + DATASET,
+            r"\[sweep\] strategy is 'magic', e",
+        ),
+        (
+            "[sweep]\nseeds = 1\nmethod = 'gps'\n" + DATASET,
+            r"\[sweep\] method is 'gps', expected",
+        ),
         (
             "[sweep]\nseeds = 1\nproposal = ['pnp', 'sonar']\n" + DATASET,
-            r"\[sweep\]: proposal 'sonar' is none of appearance, pnp, both",
+            r"\[sweep\] proposal is 'sonar', expected one of retrieval, pnp, both",
         ),
         (
             "[sweep]\nseeds = 1\nstrategy = 'condensation'\nproposal = ['pnp', 'both']\n" + DATASET,
@@ -160,14 +167,17 @@ def test_spans_include_both_ends() -> None:
             "[sweep]\nseeds = 1\nparticles = [5, 6]\n[filter]\nmethod = 'pnp'\n" + DATASET,
             r"\[sweep\] particles: none of the runs has a use for it",
         ),
-        ("[sweep]\nseeds = 1\nparticles = [5, 0]\n" + DATASET, r"\[sweep\]: number of particles 0"),
-        ("[sweep]\nseeds = 1\nparticles = ['5']\n" + DATASET, r"\[sweep\] particles is '5', exp"),
-        ("[sweep]\nseeds = 1\nlikelihood = 'l1'\n" + DATASET, r"\[sweep\] likelihood is 'l1', ex"),
         (
-            "[sweep]\nseeds = 1\nlikelihood = ['zncc', 'zncc']\n" + DATASET,
-            r"\[sweep\] likelihood: zncc is there twice",
+            "[sweep]\nseeds = 1\nparticles = [5, 0]\n" + DATASET,
+            r"\[sweep\]: particles 0 is not be",
         ),
-        ("[sweep]\nseeds = 1\n[motion]\nalpha1 = -1\n" + DATASET, r"\[motion\] alpha1: motion no"),
+        ("[sweep]\nseeds = 1\nparticles = ['5']\n" + DATASET, r"\[sweep\] particles is '5', exp"),
+        ("[sweep]\nseeds = 1\ncost = 'l1'\n" + DATASET, r"\[sweep\] cost is 'l1', expected on"),
+        (
+            "[sweep]\nseeds = 1\ncost = ['zncc', 'zncc']\n" + DATASET,
+            r"\[sweep\] cost: zncc is there twice",
+        ),
+        ("[sweep]\nseeds = 1\n[motion]\nalpha1 = -1\n" + DATASET, r"\[motion\] alpha1: alpha1 -1"),
         ("[sweep]\nseeds = 1\n[fliter]\n" + DATASET, "unknown key 'fliter'"),
         (
             "[sweep]\nseeds = '0-99999'\nparticles = [5, 6]\n" + DATASET,
@@ -182,3 +192,44 @@ def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, text: str, reason: st
         read_sweep_config(path)
     assert str(caught.value).startswith(f"{path}: ")
     assert "\n" not in str(caught.value)
+
+
+def test_names_of_earlier_versions_are_read(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    former = """
+    [sweep]
+    seeds = 1
+    strategy = ["informed", "condensation"]
+    proposal = ["appearance", "both"]
+    likelihood = ["robust", "zncc"]
+    one_pixel_in = [1, 2]
+    """
+    present = """
+    [sweep]
+    seeds = 1
+    strategy = ["mixture", "condensation"]
+    proposal = ["retrieval", "both"]
+    cost = ["robust", "zncc"]
+    pixel_subsampling = [1, 2]
+    """
+    path = written(tmp_path, former + DATASET)
+    with caplog.at_level(logging.WARNING, logger="pipelines"):
+        settings = read_sweep_config(path).settings
+    said = {record.getMessage() for record in caplog.records}
+    assert f"{path}: [sweep] likelihood is now called cost" in said
+    assert "strategy informed is now called mixture" in said
+    assert len(said) == 4
+    assert settings == read_sweep_config(written(tmp_path, present + DATASET)).settings
+
+
+def test_options_hold_for_all_runs(tmp_path: Path) -> None:
+    path = written(
+        tmp_path, "[sweep]\nseeds = 1\nparticles = [5, 6]\n[motion]\nalpha1 = 1\n" + DATASET
+    )
+    options = {"motion.alpha1": 0.5, "resampling": "residual"}
+    settings = read_sweep_config(path, options=options).settings
+    assert [chosen.particles for chosen in settings] == [5, 6]
+    assert all((s.motion.alpha1, s.resampling) == (0.5, "residual") for s in settings)
+    with pytest.raises(OptionError, match=r"particles is given, but .*sweep\.toml varies it"):
+        read_sweep_config(path, options={"particles": 7})

@@ -74,7 +74,7 @@ LOST = replace(
     seconds_while_tracking=None,
 )
 DARK = replace(GOOD, frames_blind=5, confidence_blind=0.0)
-HERE = Setup("lobby", "odometry.txt", "filter", "informed", "appearance", "robust", 195)
+HERE = Setup("lobby", "odometry.txt", "filter", "mixture", "retrieval", "robust", 195)
 PNP = Setup("lobby", "odometry.txt", "pnp", None, None, None, None)
 THERE = replace(HERE, dataset="a|b", particles=50)
 
@@ -145,7 +145,7 @@ def test_markdown_is_a_table_that_names_what_broke() -> None:
     text = as_markdown(LINES, ["a|b, seed 3: no image"])
     rows = [line for line in text.splitlines() if line.startswith("|")]
     assert len({row.count("|") for row in rows}) == 1
-    assert "| lobby | odometry.txt | informed | robust | 195 | 2 of 3 | 21 to 94 % |" in rows[2]
+    assert "| lobby | odometry.txt | mixture | robust | 195 | 2 of 3 | 21 to 94 % |" in rows[2]
     assert "| 2.0, never | 0.50, never | 2.5, never | 0.40, never | 2, never |" in rows[2]
     assert rows[2].endswith("| 2 of 3 | 1, never | 90 % | 60, 15, 25 | 1 of 3 | 0.26 | 0.250 |")
     assert "| a/b | " in rows[3]
@@ -157,7 +157,7 @@ def test_markdown_is_a_table_that_names_what_broke() -> None:
 def test_what_is_compared_is_named() -> None:
     setups = (replace(HERE, proposal="both"), replace(HERE, strategy="condensation"), PNP)
     rows = as_markdown(lines_of([(setup, GOOD) for setup in setups]), []).splitlines()[2:5]
-    assert "| informed, proposal both | robust | 195 |" in rows[0]
+    assert "| mixture, proposal both | robust | 195 |" in rows[0]
     assert "| condensation | robust | 195 |" in rows[1]
     assert "| pnp | - | - |" in rows[2]
 
@@ -165,7 +165,7 @@ def test_what_is_compared_is_named() -> None:
 def test_images_that_show_nothing_have_a_table_of_their_own() -> None:
     assert "show nothing" not in as_markdown(LINES, [])
     text = as_markdown(lines_of([(HERE, DARK), (HERE, DARK), (PNP, GOOD)]), [])
-    assert "| lobby | odometry.txt | informed | 5.0 | 0.00 | 0.80 |" in text.splitlines()
+    assert "| lobby | odometry.txt | mixture | 5.0 | 0.00 | 0.80 |" in text.splitlines()
     assert "| lobby | odometry.txt | pnp | 0.0" not in text
 
 
@@ -209,7 +209,7 @@ def test_figures_show_every_line(tmp_path: Path) -> None:
 def test_what_has_no_particles_is_a_line_across() -> None:
     axes = figure_of(PLOTS[0], lines_of([(HERE, GOOD), (PNP, GOOD), (PNP, WRONG)])).axes[0]
     shown = {line.get_label(): np.asarray(line.get_ydata()).tolist() for line in axes.lines}
-    assert shown == {"informed, robust": [100.0], "pnp": [50.0, 50.0]}
+    assert shown == {"mixture, robust": [100.0], "pnp": [50.0, 50.0]}
     assert [label.get_text() for label in axes.get_xticklabels()] == ["195"]
 
 

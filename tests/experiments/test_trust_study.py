@@ -26,7 +26,7 @@ from pipelines.geometry.trajectory import Trajectory, format_tum
 from pipelines.lightfield.scene_file import save_scene
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import PLANAR
-from pipelines.render.channels import Channels
+from pipelines.render.choices import Channels
 from tests.report_samples import photo
 from tests.sequence_samples import SCENE, TRUTH
 
@@ -85,8 +85,8 @@ starts = 2
 seeds = [0]
 
 [condition.start]
-position_sigma = 0.05
-heading_sigma_deg = 2.0
+start_position_sigma = 0.05
+start_heading_sigma_deg = 2.0
 
 [[condition]]
 name = "another day"
@@ -128,16 +128,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def result(folder: Path) -> tuple[Path, TrustConditions]:
-    chosen = study_trust(
-        folder / "study.toml",
-        folder / "out",
-        data=None,
-        scenes={},
-        seeds=None,
-        workers=1,
-        overwrite=False,
-        progress=no_progress,
-    )
+    chosen = read_trust_conditions(folder / "study.toml")
+    study_trust(chosen, folder / "out", workers=1, overwrite=False, progress=no_progress)
     return folder / "out", chosen
 
 
@@ -281,8 +273,12 @@ def test_what_cannot_be_run_is_said(folder: Path) -> None:
         ("starts = 2", "starts = -1", "condition 3: starts is not between 0 and"),
         ("starts = 2", 'starts = 2\nmethod = "pnp"', "condition 3: starts are of no use to pnp"),
         ("starts = 2", "starts = 2\nelsewhere = true", "no true pose to start around"),
-        ("position_sigma = 0.05", "pose = [0, 0, 0]", "starts are drawn, but .* a pose"),
-        ("position_sigma = 0.05", "position_sigma = -1", "condition 3: start position sigma"),
+        ("start_position_sigma = 0.05", "start = [0, 0, 0]", "starts are drawn, but .* a pose"),
+        (
+            "start_position_sigma = 0.05",
+            "start_position_sigma = -1",
+            "condition 3: start_position_sigma",
+        ),
         ("starts = 2", "speed = 2", "unknown key 'speed' in condition 3"),
         ('path = "noise"', 'path = "noise"\ndata = "x"', "condition 2 needs either path or data"),
         ('path = "noise"', 'path = "nothing"', "nothing: is missing: the sequence of condition 2"),

@@ -131,7 +131,9 @@ def test_w_first_is_named_with_noise(seed: int, count: int, degrees: float) -> N
 
 @given(seeds, st.integers(12, 40))
 def test_the_frame_of_the_first_camera_is_named(seed: int, count: int) -> None:
-    with pytest.raises(InputError, match=r"seems to be of a camera .*--dof 6 without \[mount\]"):
+    with pytest.raises(
+        InputError, match=r"seems to be of a camera .*--degrees-of-freedom 6 without \[mount\]"
+    ):
         check_planar(camera_frame(planar_states(seed, count)), FILE)
 
 
@@ -154,7 +156,9 @@ def test_a_camera_that_drives_straight_ahead_is_named() -> None:
 def test_a_ride_in_a_lift_is_no_camera() -> None:
     poses = world_from_base_planar(planar_states(3, 40))
     poses[20:, 2, 3] = 3.0
-    with pytest.raises(InputError, match=r"changes its height by 3.00 m over .*; give --dof 6"):
+    with pytest.raises(
+        InputError, match=r"changes its height by 3.00 m over .*; give --degrees-of-freedom 6"
+    ):
         check_planar(poses, FILE)
 
 
@@ -172,7 +176,9 @@ def ramp(slope_deg: float, length: float, level: float = 5.0) -> FloatArray:
 
 
 def test_a_steep_ramp_is_refused_with_its_numbers() -> None:
-    with pytest.raises(InputError, match=r"leans by .* 12 degrees and changes .* 1.04 m .*--dof 6"):
+    with pytest.raises(
+        InputError, match=r"leans by .* 12 degrees and changes .* 1.04 m .*--degrees-of-freedom 6"
+    ):
         check_planar(ramp(12.0, 5.0), FILE)
 
 
@@ -180,7 +186,7 @@ def test_a_ramp_of_a_building_is_mentioned() -> None:
     note = check_planar(ramp(4.0, 6.0), FILE)
     assert note is not None
     assert re.search("changes its height by 0.42 m over (5.9|6.0) m", note)
-    assert "--dof 6" in note
+    assert "--degrees-of-freedom 6" in note
 
 
 def test_going_up_and_down_a_ramp_makes_it_no_flatter() -> None:

@@ -114,7 +114,7 @@ def calls_of_values() -> dict[str, Call]:
         "world_from_base_planar": Call(lfnav.world_from_base_planar, {"states": np.zeros(3)}),
         "planar_state_of": Call(lfnav.planar_state_of, {"world_from_base": pose}),
         "likelihood_named": Call(lfnav.likelihood_named, {"name": "squared"}),
-        "strategy_defaults": Call(lfnav.strategy_defaults, {"strategy": "informed"}),
+        "strategy_defaults": Call(lfnav.strategy_defaults, {"strategy": "mixture"}),
         "FrameRecord": Call(lfnav.FrameRecord, vars(frame)),
         "Run": Call(lfnav.Run, vars(run)),
         "Run.estimated_states": Call(run.estimated_states, {"estimate": "mode"}),
@@ -167,7 +167,7 @@ def calls_of_scenes(folder: Path) -> dict[str, Call]:
     states = facing_wall(0.0, 2.0)[None]
     localizer = lfnav.Localizer(scene, CAMERA, MOUNT, SETTINGS, model=model)
     source = small_reconstruction(folder / "reconstruction")
-    files = {"scene_path": folder / "scene.h5", "dataset_path": folder / "data"}
+    files = {"scene": folder / "scene.h5", "dataset": folder / "data"}
     return {
         "load_dataset": Call(
             lfnav.load_dataset,
@@ -223,7 +223,7 @@ def calls_of_scenes(folder: Path) -> dict[str, Call]:
             {"scene": scene, "body_from_camera": MOUNT, "settings": SETTINGS},
         ),
         "MeasurementModel.evidence": Call(
-            model.evidence, {"states": states, "observation": observation, "one_pixel_in": 1}
+            model.evidence, {"states": states, "observation": observation, "pixel_subsampling": 1}
         ),
         "MeasurementModel.log_likelihoods": Call(
             model.log_likelihoods, {"states": states, "observation": observation}
@@ -265,8 +265,15 @@ def calls_of_scenes(folder: Path) -> dict[str, Call]:
             partial(lfnav.localize_dataset, settings=SETTINGS), {"scene": scene, "dataset": data}
         ),
         "localize": Call(
-            partial(lfnav.localize, settings=SETTINGS, overwrite=True),
-            {**files, "output": "run.h5", "seed": 0, "odometry": None, "mask": None},
+            lambda **given: lfnav.localize(lfnav.LocalizeRequest(**given, overwrite=True)),
+            {
+                **files,
+                "output": "run.h5",
+                "settings": SETTINGS,
+                "seed": 0,
+                "odometry": None,
+                "mask": None,
+            },
         ),
         "reconstruct": Call(
             partial(lfnav.reconstruct, overwrite=True),
@@ -404,7 +411,17 @@ def test_all_public_functions_are_tried() -> None:
     tried = {name.split(".")[0].removesuffix("()") for name in [*VALUES, *SCENES]}
     # What is only handed back, named in annotations, or raised.
     handed_back = {"DockingResult", "Outcome", "Rendering", "Reconstruction", "RunEvaluation"}
-    named = {"Blending", "Device", "OutcomeKind", "Progress", "Quality", "Robot", "StateSpace"}
+    named = {
+        "Blending",
+        "Device",
+        "LocalizeRequest",
+        "OutcomeKind",
+        "Progress",
+        "Quality",
+        "Robot",
+        "RunOrigin",
+        "StateSpace",
+    }
     raised = {"InputError", "LfnavError", "OptionError", "RobotError", "StageError"}
     assert set(lfnav.__all__) - tried == handed_back | named | raised | {"no_progress"}
 

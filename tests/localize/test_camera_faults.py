@@ -11,7 +11,7 @@ from pipelines.localize.camera_faults import FAULTS, FIRST_LOG_ODDS, MOST_LOG_OD
 from pipelines.localize.observation import Observation, Observations
 from pipelines.localize.places import COMPRESSED
 from tests.report_samples import photo
-from tests.sequence_samples import SCENE, TRUTH, informed_settings, localize_sequence, localizer
+from tests.sequence_samples import SCENE, TRUTH, localize_sequence, localizer, mixture_settings
 
 PINHOLE = Intrinsics(4, 3, 2.0, 2.0, 1.5, 1.0)
 PICTURE = np.random.default_rng(0).uniform(0.0, 255.0, (3, 4, 3)).astype(np.float32)
@@ -69,6 +69,6 @@ def test_before_the_first_image_the_picture_is_probably_right() -> None:
 def test_a_filter_whose_camera_is_upside_down_does_not_claim_a_place() -> None:
     """Nor one whose pictures are mirrored or negative: ``test_strange_images.py``."""
     images = [np.rot90(photo(state), 2).copy() for state in TRUTH]
-    records = localize_sequence(localizer(informed_settings(), 0, SCENE), images=images)
+    records = localize_sequence(localizer(mixture_settings(), 0, SCENE), images=images)
     assert "tracking" not in [record.status for record in records]
     assert max(record.confidence for record in records) < 0.5

@@ -1,5 +1,6 @@
 """Configs: complete, read back as written, and refused in one line that names the key."""
 
+import logging
 import math
 import tomllib
 from dataclasses import fields, replace
@@ -12,15 +13,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.artifacts.setting import Entry
+from pipelines.artifacts.setting_kinds import degrees_of
 from pipelines.artifacts.toml_file import format_value, read_toml
-from pipelines.localize.config import effective_settings, settings_of, settings_text
-from pipelines.localize.config_keys import KEYS, SECTIONS, degrees_of
+from pipelines.localize.config import ENTRIES, effective_settings, settings_of, settings_text
 from pipelines.localize.likelihood import LIKELIHOODS, Likelihood
-from pipelines.localize.motion import MotionModel
-from pipelines.localize.settings import LocalizerSettings
-from pipelines.render.blending import Blending
-from pipelines.render.channels import Channels
-from pipelines.render.comparison import Cost
+from pipelines.localize.settings import SECTIONS, LocalizerSettings, MotionModel
+from pipelines.render.choices import Blending, Channels, Cost
 from pipelines.render.devices import Device
 from tests.chain_samples import lfnav, succeed
 
@@ -35,10 +34,10 @@ OTHER: dict[str, tuple[Any, Any]] = {
     "start_heading_sigma": (math.radians(7.0), 7.0),
     "area": ((-1.0, 2.0, 0.5, 3.0), [-1.0, 2.0, 0.5, 3.0]),
     "likelihood.cost": (Cost.ZNCC, "zncc"),
-    "likelihood.sharpness": (33.0, 33.0),
+    "likelihood.inverse_temperature": (33.0, 33.0),
     "likelihood.fit_gain": (True, True),
     "likelihood.channels": (Channels.GRADIENT, "gradient"),
-    "likelihood.one_pixel_in": (3, 3),
+    "likelihood.pixel_subsampling": (3, 3),
     "motion.alpha1": (0.5, 0.5),
     "motion.alpha2": (0.6, 0.6),
     "motion.alpha3": (0.7, 0.7),
@@ -88,29 +87,40 @@ def written(folder: Path, text: str) -> Path:
 
 
 def test_no_setting_is_forgotten() -> None:
-    assert sorted(key.field for key in KEYS) == sorted(fields_of_all_settings())
+    assert sorted(entry.path for entry in ENTRIES) == sorted(fields_of_all_settings())
     assert set(OTHER) == fields_of_all_settings()
-    assert len({(key.section, key.name) for key in KEYS}) == len(KEYS)
-    assert {key.section for key in KEYS} == set(SECTIONS)
+    assert {entry.setting.section for entry in ENTRIES} == set(SECTIONS)
+    # Options of the command line have no sections to tell two of one name apart.
+    names = [name for entry in ENTRIES for name in entry.names]
+    assert len(set(names)) == len(names)
+
+
+def test_a_setting_has_the_same_name_everywhere() -> None:
+    for entry in ENTRIES:
+        attribute = entry.path.rpartition(".")[2]
+        assert entry.name in {attribute, f"{attribute}_deg"}
+        assert entry.setting.help
 
 
 def test_names_of_angles_tell_their_unit() -> None:
     angles = {"start_heading_sigma", "map_heading_sigma", "motion.heading_floor"}
     angles.add("motion.walk_heading")
-    assert {key.field for key in KEYS if key.name.endswith("_deg")} == angles
+    assert {entry.path for entry in ENTRIES if entry.name.endswith("_deg")} == angles
 
 
 @pytest.mark.parametrize("field", OTHER)
 def test_a_setting_is_read_from_the_file_and_written_back(tmp_path: Path, field: str) -> None:
     value, in_file = OTHER[field]
-    key = next(key for key in KEYS if key.field == field)
-    text = f"[{key.section}]\n{key.name} = {format_value(in_file)}\n{ALONG.get(field, '')}"
+    entry = next(entry for entry in ENTRIES if entry.path == field)
+    text = (
+        f"[{entry.setting.section}]\n{entry.name} = {format_value(in_file)}\n{ALONG.get(field, '')}"
+    )
     settings = effective_settings(written(tmp_path, text), {})
     assert value_of(settings, field) == value
     assert value_of(LocalizerSettings(), field) != value
-    # Nothing else changed; another kind of comparison comes with its own sharpness and channels.
+    # Nothing else changed; another cost comes with its own inverse temperature and channels.
     changed = {name for name in OTHER if value_of(settings, name) != value_of(DEFAULT, name)}
-    along = {"likelihood.sharpness", "likelihood.fit_gain", "likelihood.channels"}
+    along = {"likelihood.inverse_temperature", "likelihood.fit_gain", "likelihood.channels"}
     if field in ALONG:
         along.add("likelihood.cost")
     assert changed - along <= {field}
@@ -147,17 +157,17 @@ def test_any_numbers_are_read_as_they_were_written(
     )
     content = tomllib.loads(settings_text(settings))
     chosen = {
-        key.field: key.parsed(content[key.section][key.name])
-        for key in KEYS
-        if key.field not in {"start", "start_heading_sigma"}
+        entry.path: entry.parsed(content[entry.setting.section][entry.name])
+        for entry in ENTRIES
+        if entry.path not in {"start", "start_heading_sigma"}
     }
     assert settings_of(chosen) == replace(
         settings, start=None, start_heading_sigma=DEFAULT.start_heading_sigma
     )
-    x, y, heading_deg = content["start"]["pose"]
+    x, y, heading_deg = content["start"]["start"]
     assert (x, y) == (length, -length)
     assert math.radians(heading_deg) == pytest.approx(-angle, rel=3e-16, abs=0.0)
-    sigma_deg = content["start"]["heading_sigma_deg"]
+    sigma_deg = content["start"]["start_heading_sigma_deg"]
     assert math.radians(sigma_deg) == pytest.approx(angle, rel=3e-16, abs=0.0)
 
 
@@ -173,7 +183,7 @@ def test_text_is_read_as_it_was_written(text: str) -> None:
 
 def test_the_paper_has_its_own_defaults_unless_something_else_is_chosen(tmp_path: Path) -> None:
     paper = effective_settings(None, {"strategy": "condensation"})
-    assert paper.likelihood == replace(LIKELIHOODS["squared"], one_pixel_in=1)
+    assert paper.likelihood == replace(LIKELIHOODS["squared"], pixel_subsampling=1)
     assert (paper.resampling, paper.estimate) == ("multinomial", "max_weight")
     path = written(tmp_path, '[filter]\nstrategy = "condensation"\nresampling = "residual"\n')
     mixed = effective_settings(path, {"estimate": "mode"})
@@ -184,9 +194,9 @@ def test_the_paper_has_its_own_defaults_unless_something_else_is_chosen(tmp_path
     assert changed == replace(DEFAULT, strategy="condensation")
 
 
-def test_a_kind_of_comparison_comes_with_its_sharpness(tmp_path: Path) -> None:
-    path = written(tmp_path, '[likelihood]\ncost = "zncc"\nsharpness = 12.0\n')
-    chosen = replace(LIKELIHOODS["zncc"], sharpness=12.0)
+def test_a_cost_comes_with_its_inverse_temperature(tmp_path: Path) -> None:
+    path = written(tmp_path, '[likelihood]\ncost = "zncc"\ninverse_temperature = 12.0\n')
+    chosen = replace(LIKELIHOODS["zncc"], inverse_temperature=12.0)
     assert effective_settings(path, {}).likelihood == chosen
     assert effective_settings(path, {"likelihood.cost": Cost.ZNCC}).likelihood == chosen
     other = effective_settings(path, {"likelihood.cost": Cost.GRADIENT})
@@ -206,13 +216,13 @@ def test_a_width_at_the_command_line_takes_the_others_along(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("[filter]\nparticels = 5\n", r"unknown key 'particels' in \[filter\]; known are strat"),
+        ("[filter]\nparticels = 5\n", r"unknown key 'particels' in \[filter\]; known are method"),
         ("[fliter]\n", r"unknown key 'fliter'; known are \[filter\], \[start\]"),
         ("particles = 5\n", "unknown key 'particles'; known are"),
         ("filter = 5\n", r"filter is a whole number, expected a table; write \[filter\]"),
         ("[filter]\nparticles = 5.0\n", r"\[filter\] particles is a number, expected a whole n"),
         ("[filter]\nparticles = true\n", r"particles is true or false, expected a whole number"),
-        ("[filter]\nstrategy = 3\n", r"\[filter\] strategy is a whole number, expected a text"),
+        ("[filter]\nstrategy = 3\n", r"\[filter\] strategy is 3, expected one of mixture, c"),
         ("[filter]\nstart_particles = 'many'\n", "'many', expected a whole number or \"auto\""),
         ("[motion]\nalpha1 = '0.5'\n", r"\[motion\] alpha1 is '0.5', expected a number"),
         ("[motion]\nalpha1 = 1979-05-27\n", "alpha1 is a date or time, expected a number"),
@@ -220,22 +230,22 @@ def test_a_width_at_the_command_line_takes_the_others_along(tmp_path: Path) -> N
         ("[likelihood]\nchannels = 'red'\n", "channels is 'red', expected one of colour, contrast"),
         ("[likelihood]\nfit_gain = true\n", "evidence fits no gain: choose channels"),
         ("[likelihood]\nfit_gain = 1\n", "fit_gain is a whole number, expected true or false"),
-        ("[start]\npose = [1.0, 2.0]\n", "pose is a list, expected a list of three or six numb"),
+        ("[start]\nstart = [1.0, 2.0]\n", "start is a list, expected a list of three or six numb"),
         ("[start]\narea = [1, 2, 'x', 4]\n", r"\[start\] area is a list, expected a list of fo"),
-        ("[motion]\nalpha3 = -0.1\n", r"\[motion\] alpha3: motion noise alpha3 = -0.1 is not"),
-        ("[motion]\nheading_floor_deg = -1\n", r"heading_floor_deg: motion noise heading_floor"),
-        ("[motion]\nalpha3 = inf\n", r"\[motion\] alpha3: motion noise alpha3 = inf is not"),
-        ("[filter]\nparticles = 0\n", r"\[filter\] particles: number of particles 0 is not b"),
-        ("[filter]\nstrategy = 'magic'\n", r"\[filter\] strategy: strategy 'magic' is none of"),
-        ("[rendering]\nfine_width = 0\n", r"\[rendering\] fine_width: fine width 0 is not bet"),
-        ("[rendering]\nquality = 'best'\n", r"\[rendering\] quality: quality 'best' is none of"),
-        ("[likelihood]\nsharpness = 0\n", r"\[likelihood\] sharpness: a likelihood's sharpness"),
+        ("[motion]\nalpha3 = -0.1\n", r"\[motion\] alpha3: alpha3 -0.1 is not between 0 and"),
+        ("[motion]\nheading_floor_deg = -1\n", r"heading_floor_deg: heading_floor_deg -1 is not"),
+        ("[motion]\nalpha3 = inf\n", r"\[motion\] alpha3: alpha3 inf is not between"),
+        ("[filter]\nparticles = 0\n", r"\[filter\] particles: particles 0 is not between 1 a"),
+        ("[filter]\nstrategy = 'magic'\n", r"\[filter\] strategy is 'magic', expected one of mi"),
+        ("[rendering]\nfine_width = 0\n", r"\[rendering\] fine_width: fine_width 0 is not bet"),
+        ("[rendering]\nquality = 'best'\n", r"\[rendering\] quality is 'best', expected one of"),
+        ("[likelihood]\ninverse_temperature = 0\n", r"\[likelihood\] inverse_temperature: inv"),
         ("[start]\narea = [1, 0, 0, 1]\n", r"\[start\] area: area 1,0,0,1 is empty"),
-        ("[start]\npose = [0, 0, 0, 0, 0, 0]\n", r"\[start\] pose: a start of 6 numbers for 3"),
+        ("[start]\nstart = [0, 0, 0, 0, 0, 0]\n", r"\[start\] start: a start of 6 numbers for 3"),
         # Two that do not go together: the one without which the other is possible.
         (
             "[rendering]\nfine_width = 200\nrefine_width = 100\n",
-            r"\[rendering\] fine_width: refine width 100 is not between 200",
+            r"\[rendering\] fine_width: refine_width 100 is not between 200",
         ),
         ("[filter\n", "is not TOML"),
         ("[filter]\nparticles = 5\nparticles = 6\n", "is not TOML"),
@@ -251,7 +261,7 @@ def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, text: str, reason: st
 
 def test_options_are_blamed_for_what_they_say(tmp_path: Path) -> None:
     path = written(tmp_path, "[filter]\nparticles = 300\n")
-    with pytest.raises(OptionError, match="number of particles -1"):
+    with pytest.raises(OptionError, match="particles -1 is not between"):
         effective_settings(path, {"particles": -1})
     with pytest.raises(InputError, match="does not exist"):
         effective_settings(tmp_path / "missing.toml", {})
@@ -260,7 +270,7 @@ def test_options_are_blamed_for_what_they_say(tmp_path: Path) -> None:
 
 
 def test_the_command_line_prints_what_it_is_given_back(tmp_path: Path) -> None:
-    options = ("--particles", "300", "--init", "1,2,90", "--likelihood", "gradient")
+    options = ("--particles", "300", "--start", "1,2,90", "--cost", "gradient")
     printed = succeed("localize", "--print-config", *options)
     path = written(tmp_path, printed)
     assert succeed("localize", "--print-config", "--config", path) == printed
@@ -268,7 +278,7 @@ def test_the_command_line_prints_what_it_is_given_back(tmp_path: Path) -> None:
     assert settings.particles == 300
     assert settings.start == (1.0, 2.0, math.radians(90.0))
     assert settings.likelihood == LIKELIHOODS["gradient"]
-    more = ("--init", "uniform", "--particles", "20")
+    more = ("--start", "anywhere", "--particles", "20")
     changed = effective_settings(
         written(tmp_path, succeed("localize", "--print-config", "--config", path, *more)), {}
     )
@@ -281,10 +291,124 @@ def test_bad_configs_through_the_command_line(tmp_path: Path) -> None:
     outcome = lfnav("localize", "scene.h5", "data", "-o", output, "--config", path)
     assert (outcome.code, outcome.out) == (1, "")
     assert outcome.err == (
-        f"lfnav: {path}: [motion] alpha1: motion noise alpha1 = -1 is not 0 or more\n"
+        f"lfnav: {path}: [motion] alpha1: alpha1 -1 is not between 0 and 1000000\n"
     )
     for arguments in ((), ("scene.h5",), ("scene.h5", "data")):
         outcome = lfnav("localize", *arguments)
         assert outcome.code == 2
         assert "Missing" in outcome.err
     assert list(tmp_path.iterdir()) == [path]
+
+
+# --- names of earlier versions --------------------------------------------------------------------
+
+FORMER = """
+[filter]
+strategy = "informed"
+proposal = "appearance"
+
+[start]
+pose = [1.0, 2.0, 90.0]
+position_sigma = 0.2
+heading_sigma_deg = 5.0
+
+[likelihood]
+cost = "zncc"
+sharpness = 12.0
+one_pixel_in = 2
+
+[estimate]
+kind = "mode"
+"""
+
+
+def test_files_of_earlier_versions_are_read_with_a_warning(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = written(tmp_path, FORMER)
+    with caplog.at_level(logging.WARNING, logger="pipelines"):
+        settings = effective_settings(path, {})
+    assert settings == LocalizerSettings(
+        strategy="mixture",
+        proposal="retrieval",
+        start=(1.0, 2.0, math.radians(90.0)),
+        start_position_sigma=0.2,
+        start_heading_sigma=math.radians(5.0),
+        likelihood=replace(LIKELIHOODS["zncc"], inverse_temperature=12.0, pixel_subsampling=2),
+        estimate="mode",
+    )
+    assert [record.getMessage() for record in caplog.records] == [
+        "proposal appearance is now called retrieval",
+        "strategy informed is now called mixture",
+        f"{path}: [start] pose is now called start",
+        f"{path}: [start] position_sigma is now called start_position_sigma",
+        f"{path}: [start] heading_sigma_deg is now called start_heading_sigma_deg",
+        f"{path}: [likelihood] sharpness is now called inverse_temperature",
+        f"{path}: [likelihood] one_pixel_in is now called pixel_subsampling",
+        f"{path}: [estimate] kind is now called estimate",
+    ]
+
+
+def test_a_name_beside_its_former_one_is_refused(tmp_path: Path) -> None:
+    path = written(tmp_path, "[likelihood]\nsharpness = 5.0\ninverse_temperature = 6.0\n")
+    reason = r"sharpness is the former name of inverse_temperature, which is there too; leave it"
+    with pytest.raises(InputError, match=reason):
+        effective_settings(path, {})
+
+
+def test_options_of_earlier_versions_are_understood_and_not_shown() -> None:
+    former = ("--init", "1,2,90", "--dof", "3", "--width", "32", "--likelihood", "zncc")
+    present = ("--start", "1,2,90", "--degrees-of-freedom", "3", "--fine-width", "32")
+    print_config = ("localize", "--print-config")
+    assert succeed(*print_config, *former) == succeed(*print_config, *present, "--cost", "zncc")
+    assert lfnav(*print_config, "--init", "uniform").out == succeed(*print_config)
+    text = succeed("localize", "--help")
+    for name in ("--init", "--dof", "--width", "--likelihood"):
+        assert f" {name} " not in text
+    outcome = lfnav(*print_config, "--strategy", "informed")
+    assert outcome.code == 0
+    assert outcome.err == "lfnav: strategy informed is now called mixture\n"
+    assert 'strategy = "mixture"' in outcome.out
+
+
+@pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: str(entry.name))
+def test_every_setting_is_an_option(entry: Entry) -> None:
+    value, in_file = OTHER[entry.path]
+    text = ",".join(map(str, in_file)) if isinstance(in_file, list) else str(in_file)
+    option = f"--{entry.name.replace('_', '-')}"
+    given = [option] if entry.is_flag else [f"{option}={text}"]
+    if entry.path in ALONG:
+        given.append("--cost=zncc")
+    content = tomllib.loads(succeed("localize", "--print-config", *given))
+    assert entry.parsed(content[entry.setting.section][entry.name]) == value
+
+
+def test_a_word_at_the_command_line_takes_back_what_the_file_says(tmp_path: Path) -> None:
+    path = written(tmp_path, "[start]\nstart = [1, 2, 3]\n[filter]\nwith_pnp = true\n")
+    back = ("--start", "anywhere", "--no-with-pnp")
+    printed = succeed("localize", "--print-config", "--config", path, *back)
+    assert printed == succeed("localize", "--print-config")
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "reason"),
+    [
+        ("--fine-width", "4.5", "'4.5' is not a whole number"),
+        ("--strategy", "magic", "'magic' is not one of 'mixture', 'coarse_to_fine', "),
+        ("--area", "1,2", "'1,2' is not of the form XMIN,XMAX,YMIN,YMAX"),
+        ("--start", "1,2,x", "'1,2,x' is not of the form X,Y,DEG or"),
+        ("--threads", "many", "'many' is not a whole number or 'all'"),
+    ],
+)
+def test_wrong_usage_is_one_line_that_names_the_option(
+    option: str, value: str, reason: str
+) -> None:
+    outcome = lfnav("localize", "--print-config", option, value)
+    assert (outcome.code, outcome.out) == (2, "")
+    assert outcome.err.count("\n") == 1
+    assert f"'{option}': {reason}" in outcome.err
+
+
+def test_settings_of_a_docking_are_not_in_the_way(tmp_path: Path) -> None:
+    path = written(tmp_path, '[dock]\ndrive = "diff"\n[filter]\nparticles = 77\n')
+    assert effective_settings(path, {}).particles == 77

@@ -9,16 +9,11 @@ from hypothesis.extra.numpy import arrays
 from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import OptionError, StageError
 from pipelines.localize.belief import effective_sample_size, normalise_log_weights
-from pipelines.localize.likelihood import (
-    LIKELIHOODS,
-    Likelihood,
-    likelihood_named,
-    tempered,
-)
+from pipelines.localize.likelihood import LIKELIHOODS, Likelihood, likelihood_named
 from pipelines.localize.observation import Observation
 from pipelines.localize.state_space import PLANAR
-from pipelines.render.channels import Channels
-from pipelines.render.comparison import Cost
+from pipelines.localize.tempering import tempered
+from pipelines.render.choices import Channels, Cost
 from pipelines.render.renderer import Renderer
 from tests.report_samples import CAMERA, MOUNT, facing_wall, photo, wall_scene
 
@@ -128,18 +123,18 @@ def test_a_broken_comparison_is_an_error_and_no_weight(value: float) -> None:
         tempered(equal(3), log_likelihoods, 0.1)
 
 
-@pytest.mark.parametrize("sharpness", [0.0, -1.0, np.nan, np.inf])
-def test_impossible_sharpness_is_refused(sharpness: float) -> None:
-    with pytest.raises(OptionError, match="sharpness"):
-        Likelihood(Cost.SQUARED, sharpness)
+@pytest.mark.parametrize("inverse_temperature", [0.0, -1.0, np.nan, np.inf])
+def test_an_impossible_inverse_temperature_is_refused(inverse_temperature: float) -> None:
+    with pytest.raises(OptionError, match="inverse_temperature"):
+        Likelihood(Cost.SQUARED, inverse_temperature)
 
 
 def test_impossible_shares_of_the_pixels_are_refused() -> None:
     for step in (0, -1, 4, 7):
-        with pytest.raises(OptionError, match="one pixel in"):
-            Likelihood(Cost.ROBUST, 80.0, one_pixel_in=step)
+        with pytest.raises(OptionError, match="pixel_subsampling"):
+            Likelihood(Cost.ROBUST, 80.0, pixel_subsampling=step)
     with pytest.raises(OptionError, match="neighbouring pixels"):
-        Likelihood(Cost.GRADIENT, 60.0, one_pixel_in=5)
+        Likelihood(Cost.GRADIENT, 60.0, pixel_subsampling=5)
 
 
 def test_evidence_fits_no_gain() -> None:

@@ -26,9 +26,9 @@ from tests.sequence_samples import (
     content,
     heading_error,
     increments,
-    informed_settings,
     localize_sequence,
     localizer,
+    mixture_settings,
     paper_settings,
     periodic_scene,
     position_error,
@@ -36,7 +36,7 @@ from tests.sequence_samples import (
 )
 
 every_strategy = pytest.mark.parametrize(
-    "make", [informed_settings, search_settings, paper_settings]
+    "make", [mixture_settings, search_settings, paper_settings]
 )
 
 
@@ -109,7 +109,7 @@ def paper_filter(chosen: LocalizerSettings, seed: int) -> list[tuple[FloatArray,
             chosen.likelihood.cost,
             chosen.likelihood.fit_gain,
         )
-        log_weights = np.full(count, -np.log(count)) - chosen.likelihood.sharpness * costs
+        log_weights = np.full(count, -np.log(count)) - chosen.likelihood.inverse_temperature * costs
         log_weights = log_weights - np.max(log_weights)
         log_weights = log_weights - np.log(np.sum(np.exp(log_weights)))
         frames.append((states, log_weights))
@@ -190,7 +190,7 @@ def test_the_motion_before_the_first_image_is_not_used(make: Any) -> None:
     assert content(without) == content(ignored)
 
 
-@pytest.mark.parametrize("make", [informed_settings, search_settings])
+@pytest.mark.parametrize("make", [mixture_settings, search_settings])
 @pytest.mark.parametrize("motion", [np.zeros(3), None], ids=["stands still", "unknown"])
 def test_a_robot_that_stands_still_is_found_too(make: Any, motion: FloatArray | None) -> None:
     truth = np.repeat(TRUTH[2:3], 8, axis=0)
@@ -207,10 +207,10 @@ def test_a_robot_that_stands_still_is_found_too(make: Any, motion: FloatArray | 
     "chosen",
     [
         # As many as by default: with fewer, chance lets one of the places win.
-        informed_settings(particles=LocalizerSettings().particles, start_particles=4000),
+        mixture_settings(particles=LocalizerSettings().particles, start_particles=4000),
         search_settings(particles=400, start_particles=4000),
     ],
-    ids=["informed", "coarse_to_fine"],
+    ids=["mixture", "coarse_to_fine"],
 )
 def test_two_equal_places_stay_two_answers(chosen: LocalizerSettings) -> None:
     truth = TRUTH[:5] - np.array([2.0, 0.0, 0.0])
@@ -313,7 +313,7 @@ def test_a_camera_that_hangs_from_the_first_image_on_is_stale(make: Any) -> None
 
 def test_a_hanging_camera_never_makes_the_robot_surer_of_where_it_was() -> None:
     """Twenty times the same picture, while odometry says that the robot drives away."""
-    robot = localizer(informed_settings(start=START, start_position_sigma=0.1))
+    robot = localizer(mixture_settings(start=START, start_position_sigma=0.1))
     robot.step(photo(TRUTH[0]))
     robot.step(photo(TRUTH[1]), increments(TRUTH)[1])
     records = [robot.step(photo(TRUTH[1]), np.array([0.1, 0.0, 0.0])) for _ in range(20)]
@@ -355,7 +355,7 @@ def test_a_start_pose_is_where_the_particles_are() -> None:
     # The image was taken somewhere else. By squared differences the nearest of these places looks
     # like it well enough to be followed; that the robot is there is not believed.
     assert record.confidence < 0.1
-    asked = replace(chosen, strategy="informed", likelihood=likelihood_named("evidence"))
+    asked = replace(chosen, strategy="mixture", likelihood=likelihood_named("evidence"))
     assert localizer(asked).step(photo(TRUTH[0])).status != "tracking"
 
 
@@ -401,7 +401,7 @@ def test_an_area_that_overlaps_the_model_is_searched() -> None:
 @pytest.mark.parametrize("shape", [(24, 18, 3), (36, 49, 3), (48, 36, 3)])
 def test_an_image_of_another_size_is_refused(shape: tuple[int, int, int]) -> None:
     with pytest.raises(OptionError, match="its camera 48x36"):
-        localizer(informed_settings()).step(np.zeros(shape, dtype=np.uint8))
+        localizer(mixture_settings()).step(np.zeros(shape, dtype=np.uint8))
 
 
 @pytest.mark.parametrize(
@@ -409,7 +409,7 @@ def test_an_image_of_another_size_is_refused(shape: tuple[int, int, int]) -> Non
     [[np.nan, 0.0, 0.0], [0.0, np.inf, 0.0], [0.0, 0.0, -np.inf], [0.1, 0.0], [[0.1, 0.0, 0.0]]],
 )
 def test_a_motion_that_is_not_three_finite_numbers_is_refused(increment: list[float]) -> None:
-    robot = localizer(informed_settings())
+    robot = localizer(mixture_settings())
     robot.step(photo(TRUTH[0]))
     with pytest.raises(OptionError, match="increment"):
         robot.step(photo(TRUTH[1]), np.array(increment))
@@ -448,7 +448,7 @@ def test_the_caller_keeps_its_arrays(make: Any) -> None:
 
 
 def test_a_measurement_model_can_be_shared() -> None:
-    chosen = informed_settings()
+    chosen = mixture_settings()
     model = MeasurementModel.of_scene(SCENE, MOUNT, chosen)
     expected = [content(record) for record in localize_sequence(localizer(chosen), TRUTH[:3])]
     # What one localizer has learnt in it changes nothing for the next.
@@ -461,7 +461,7 @@ def test_a_distorted_camera_is_undistorted_before_it_is_compared() -> None:
     bent = replace(CAMERA, model="SIMPLE_RADIAL", params=(24.0, 23.5, 17.5, -0.05))
     pinhole = Undistorter(bent).intrinsics
     assert pinhole != CAMERA.intrinsics
-    robot = Localizer(SCENE, bent, MOUNT, informed_settings(), np.random.default_rng(0))
+    robot = Localizer(SCENE, bent, MOUNT, mixture_settings(), np.random.default_rng(0))
     records = [
         robot.step(distorted_photo(state, -0.05), motion)
         for state, motion in zip(TRUTH, increments(TRUTH), strict=True)

@@ -9,10 +9,10 @@ from pipelines.artifacts.arrays import FloatArray
 from pipelines.localize.alignment import Alignment, Prior
 from pipelines.localize.localizer import Localizer
 from pipelines.localize.measurement_model import MeasurementModel
-from pipelines.localize.motion import MotionModel
 from pipelines.localize.observation import Observations
+from pipelines.localize.settings import MotionModel
 from tests.report_samples import CAMERA, MOUNT, photo
-from tests.sequence_samples import SCENE, TRUTH, increments, informed_settings, position_error
+from tests.sequence_samples import SCENE, TRUTH, increments, mixture_settings, position_error
 
 
 class Misled(MeasurementModel):
@@ -53,7 +53,7 @@ class Shortsighted(Misled):
 
 def test_an_alignment_that_loses_evidence_moves_nothing() -> None:
     # 3 cm aside is well within the gate after a motion that may be that wrong.
-    chosen = informed_settings(motion=MotionModel(position_floor=0.05))
+    chosen = mixture_settings(motion=MotionModel(position_floor=0.05))
     model = Aside.of_scene(SCENE, MOUNT, chosen)
     assert isinstance(model, Aside)
     robot = Localizer(SCENE, CAMERA, MOUNT, chosen, np.random.default_rng(0), model)
@@ -66,7 +66,7 @@ def test_an_alignment_that_loses_evidence_moves_nothing() -> None:
 
 
 def test_wheels_that_mislead_do_not_choose_where_an_alignment_begins() -> None:
-    chosen = informed_settings(motion=MotionModel(position_floor=0.1, heading_floor=0.06))
+    chosen = mixture_settings(motion=MotionModel(position_floor=0.1, heading_floor=0.06))
     for seed in range(4):
         model = Shortsighted.of_scene(SCENE, MOUNT, chosen)
         assert isinstance(model, Shortsighted)

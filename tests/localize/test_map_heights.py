@@ -71,7 +71,7 @@ def test_a_street_that_falls_is_mentioned(noise: float) -> None:
     (note,) = notes_on_heights(map_of(views_at(street(1.1, noise)), 10.0), 1.0)
     assert "views rise by 1.1" in note.replace("1.0", "1.1").replace("1.2", "1.1")
     assert "over 91 m" in note
-    assert "--dof 6" in note
+    assert "--degrees-of-freedom 6" in note
 
 
 def test_a_street_that_a_robot_recorded_is_mentioned() -> None:

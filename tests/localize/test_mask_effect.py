@@ -30,8 +30,8 @@ from tests.sequence_samples import (
     SCENE,
     TRUTH,
     heading_error,
-    informed_settings,
     localize_sequence,
+    mixture_settings,
     position_error,
 )
 
@@ -185,7 +185,7 @@ def test_a_mask_of_another_shape_is_refused(shape: tuple[int, ...]) -> None:
     with pytest.raises(OptionError, match=r"mask has the shape .*\(36, 48\)"):
         Observer(CAMERA, [24], mask)
     with pytest.raises(OptionError, match="mask has the shape"):
-        Localizer(SCENE, CAMERA, MOUNT, informed_settings(), np.random.default_rng(0), mask=mask)
+        Localizer(SCENE, CAMERA, MOUNT, mixture_settings(), np.random.default_rng(0), mask=mask)
 
 
 def test_a_mask_that_leaves_nothing_of_the_small_image_is_refused() -> None:
@@ -221,7 +221,7 @@ def driven(mask: BoolArray | None, seed: int, likelihood: str) -> list[FrameReco
     for image in images:
         image[:, :16] = BOARD
     rng = np.random.default_rng(seed)
-    chosen = informed_settings(likelihood=likelihood_named(likelihood))
+    chosen = mixture_settings(likelihood=likelihood_named(likelihood))
     robot = Localizer(SCENE, CAMERA, MOUNT, chosen, rng, mask=mask)
     return localize_sequence(robot, images=images)
 
@@ -254,7 +254,7 @@ def test_without_the_mask_squared_differences_do_not_find_the_robot_at_once(
 
 
 def test_the_board_says_nothing_for_the_map_where_it_is_masked() -> None:
-    model = MeasurementModel.of_scene(SCENE, MOUNT, informed_settings())
+    model = MeasurementModel.of_scene(SCENE, MOUNT, mixture_settings())
     plain, covered = photo(TRUTH[0]), photo(TRUTH[0])
     covered[:, :16] = BOARD
     found = [
@@ -309,7 +309,15 @@ def test_the_command_uses_the_masks_of_data_set_and_option(tmp_path: Path) -> No
     given.write_bytes(encode_png(np.full(BOARD_MASK.shape, 255, dtype=np.uint8)))
     assert "33 % of the image left out" in succeed("info", data)
 
-    small = ("--particles", "60", "--start-particles", "2000", "--width", "24", "--refine-width")
+    small = (
+        "--particles",
+        "60",
+        "--start-particles",
+        "2000",
+        "--fine-width",
+        "24",
+        "--refine-width",
+    )
     command = ("localize", scene, data, *small, "48", "--threads", "1", "-o")
     for name, options, mask in (
         ("own", (), data / "mask.png"),

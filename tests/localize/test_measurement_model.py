@@ -14,8 +14,7 @@ from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.observation import Observation, Observer
 from pipelines.localize.places import COMPRESSED
 from pipelines.localize.state_space import PLANAR
-from pipelines.render.channels import Channels
-from pipelines.render.comparison import Cost
+from pipelines.render.choices import Channels, Cost
 from tests.report_samples import (
     CAMERA,
     MOUNT,
@@ -26,7 +25,7 @@ from tests.report_samples import (
     smooth,
     wall_scene,
 )
-from tests.sequence_samples import informed_settings
+from tests.sequence_samples import mixture_settings
 
 # Between two recordings, nearer than they are, and turned: no view shows exactly this.
 TRUTH = facing_wall(-0.4, 1.7, 0.15)
@@ -36,7 +35,7 @@ STATES = np.stack([WRONG, TRUTH, BACK_TO_THE_WALL, TRUTH + np.array([0.3, 0.0, 0
 
 
 def model_of(name: str = "evidence", paint: Paint = painted) -> MeasurementModel:
-    chosen = informed_settings(likelihood=likelihood_named(name))
+    chosen = mixture_settings(likelihood=likelihood_named(name))
     return MeasurementModel.of_scene(wall_scene(paint), MOUNT, chosen)
 
 
@@ -66,7 +65,7 @@ def test_every_likelihood_prefers_the_truth(name: str) -> None:
         # A view of nothing says nothing, exactly.
         assert log_likelihoods[2] == 0.0
     else:
-        costs = -log_likelihoods / LIKELIHOODS[name].sharpness
+        costs = -log_likelihoods / LIKELIHOODS[name].inverse_temperature
         assert np.all((costs >= 0.0) & (costs <= 1.0))
         # Looking at nothing never wins, not even against a wrong view of something.
         assert costs[2] > costs[3]
@@ -92,7 +91,7 @@ def test_evidence_is_the_cost_a_pixel_times_the_pixels_that_an_image_is_worth(
     poses = world_from_base_planar(STATES) @ MOUNT
     table = model.pixels(24)
     costs = model.renderer.costs(poses, own.intrinsics, own.image, Cost.EVIDENCE, False, table)
-    expected = -LIKELIHOODS["evidence"].sharpness * costs / own.image[..., 0].size
+    expected = -LIKELIHOODS["evidence"].inverse_temperature * costs / own.image[..., 0].size
     np.testing.assert_allclose(model.evidence(STATES, observation), expected, rtol=1e-9)
 
 
@@ -146,12 +145,12 @@ def test_pixels_that_do_not_show_the_scene_do_not_count(model: MeasurementModel)
 
 def test_one_pixel_in_five_is_unbiased() -> None:
     """Over the turns of all lattices the mean is what the whole image says."""
-    chosen = informed_settings(fine_width=48, refine_width=48)
+    chosen = mixture_settings(fine_width=48, refine_width=48)
     fine = MeasurementModel.of_scene(wall_scene(), MOUNT, chosen)
     observation = Observer(CAMERA, [48])(photo(TRUTH)).by_width[48]
     whole = fine.evidence(STATES, observation)
     parts = [
-        fine.evidence(STATES, replace(observation, number=number), one_pixel_in=5)
+        fine.evidence(STATES, replace(observation, number=number), pixel_subsampling=5)
         for number in range(5)
     ]
     np.testing.assert_allclose(np.mean(parts, axis=0), whole, atol=0.02 * abs(whole[1]))
@@ -162,7 +161,8 @@ def test_one_pixel_in_five_is_unbiased() -> None:
     holey = Observation(gaps, observation.intrinsics)
     whole = fine.evidence(STATES, holey)
     parts = [
-        fine.evidence(STATES, replace(holey, number=number), one_pixel_in=5) for number in range(5)
+        fine.evidence(STATES, replace(holey, number=number), pixel_subsampling=5)
+        for number in range(5)
     ]
     np.testing.assert_allclose(np.mean(parts, axis=0), whole, atol=0.02 * abs(whole[1]))
 
@@ -223,7 +223,9 @@ def test_what_is_explained_is_the_evidence_over_that_of_a_right_pose(
     own, pixels = observation.in_channels(Channels.CONTRAST), model.pixels(24)
     strengths = np.abs(own.image.astype(np.float64) - 128.0).sum(axis=2)
     rows = np.searchsorted(pixels.edges, strengths.reshape(-1), side="right")
-    usual = LIKELIHOODS["evidence"].sharpness * np.mean([pixels.expected[row] for row in rows])
+    usual = LIKELIHOODS["evidence"].inverse_temperature * np.mean(
+        [pixels.expected[row] for row in rows]
+    )
     found = float(model.evidence(state[None], observation)[0])
     assert 0.1 < found / usual < 1.0
     assert model.explained(state, observation) == pytest.approx(found / usual, rel=1e-3)

@@ -1,4 +1,4 @@
-"""The informed strategy in front of the wall: found, followed, carried away and found again."""
+"""The mixture strategy in front of the wall: found, followed, carried away and found again."""
 
 import math
 
@@ -16,9 +16,9 @@ from tests.sequence_samples import (
     content,
     heading_error,
     increments,
-    informed_settings,
     localize_sequence,
     localizer,
+    mixture_settings,
     position_error,
 )
 
@@ -26,7 +26,7 @@ from tests.sequence_samples import (
 @pytest.fixture(scope="module")
 def sequences() -> list[list[FrameRecord]]:
     """A sequence without a start pose, for each of a few seeds."""
-    return [localize_sequence(localizer(informed_settings(), seed)) for seed in range(5)]
+    return [localize_sequence(localizer(mixture_settings(), seed)) for seed in range(5)]
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -62,7 +62,7 @@ def test_the_refined_estimate_is_the_finest(sequences: list[list[FrameRecord]]) 
 
 
 def test_without_a_refine_width_there_is_no_refined_estimate() -> None:
-    chosen = informed_settings(refine_width=0, estimate="mode")
+    chosen = mixture_settings(refine_width=0, estimate="mode")
     last = localize_sequence(localizer(chosen), TRUTH[:3])[-1]
     assert set(last.estimates) == {"max_weight", "mean", "mode"}
     assert last.refined_covariance is None
@@ -82,7 +82,7 @@ def test_the_refined_covariance_covers_the_error(sequences: list[list[FrameRecor
 @pytest.mark.parametrize("seed", range(3))
 def test_a_start_pose_that_is_given_is_followed_with_the_fewest_particles(seed: int) -> None:
     records = localize_sequence(
-        localizer(informed_settings(start=START, start_position_sigma=0.2), seed)
+        localizer(mixture_settings(start=START, start_position_sigma=0.2), seed)
     )
     assert {record.status for record in records} == {"tracking"}
     # It looks round at first, as far as the start pose is uncertain.
@@ -97,7 +97,7 @@ def test_a_robot_is_found_and_followed_before_a_wall_without_edges() -> None:
     scene = wall_scene(smooth)
     images = [photo(state, paint=smooth) for state in TRUTH]
     for seed in range(3):
-        records = localize_sequence(localizer(informed_settings(), seed, scene), images=images)
+        records = localize_sequence(localizer(mixture_settings(), seed, scene), images=images)
         for record, truth in zip(records[2:], TRUTH[2:], strict=True):
             assert record.status == "tracking"
             assert position_error(record, truth, "refined") < 0.05
@@ -116,7 +116,7 @@ KIDNAPPED = np.array([*TRUTH[:4], *ELSEWHERE])
 
 def kidnapped(seed: int, images_between: int = 0) -> list[FrameRecord]:
     """Odometry does not notice that the robot is carried away."""
-    robot = localizer(informed_settings(start=START, start_position_sigma=0.15), seed)
+    robot = localizer(mixture_settings(start=START, start_position_sigma=0.15), seed)
     motions = [*increments(TRUTH[:4]), np.zeros(3), *increments(np.array(ELSEWHERE))[1:]]
     records = []
     for number, (state, motion) in enumerate(zip(KIDNAPPED, motions, strict=True)):
@@ -145,7 +145,7 @@ def test_a_robot_that_is_carried_away_behind_a_covered_lens_is_found_again() -> 
 
 
 def test_steady_images_do_not_make_it_look_everywhere() -> None:
-    records = localize_sequence(localizer(informed_settings(start=START), 0))
+    records = localize_sequence(localizer(mixture_settings(start=START), 0))
     assert max(len(record.particles) for record in records[1:]) <= 2 * 60
 
 
@@ -164,7 +164,7 @@ def test_particles_follow_a_robot_whose_wheels_are_worn() -> None:
     # The robot drives along the wall; odometry says a third too much.
     truth = np.array([facing_wall(-1.4 + 0.15 * i, 1.6) for i in range(18)])
     motions = [motion * [1.33, 1.33, 1.0] for motion in increments(truth)]
-    chosen = informed_settings(start=tuple(map(float, truth[0])), start_position_sigma=0.05)
+    chosen = mixture_settings(start=tuple(map(float, truth[0])), start_position_sigma=0.05)
     too_far = []
     for seed in range(5):
         robot = localizer(chosen, seed)
@@ -198,7 +198,7 @@ def walked(robot: Localizer, truth: FloatArray, largest_error: float) -> FrameRe
 def test_without_odometry_a_steady_motion_faster_than_the_random_walk_is_followed() -> None:
     # 0.3 m from image to image: two standard deviations of the walk, each time in the same way.
     truth = np.array([facing_wall(-1.5 + 0.3 * i, 1.7) for i in range(10)])
-    chosen = informed_settings(start=tuple(map(float, truth[0])), start_position_sigma=0.05)
+    chosen = mixture_settings(start=tuple(map(float, truth[0])), start_position_sigma=0.05)
     for seed in range(3):
         robot = localizer(chosen, seed)
         record = walked(robot, truth, 0.02)
@@ -211,7 +211,7 @@ def test_without_odometry_a_steady_motion_faster_than_the_random_walk_is_followe
 def test_a_prediction_that_is_off_does_not_make_an_image_count_less() -> None:
     """Back and forth: the speed so far is wrong every time, and the image alone is right."""
     truth = np.array([facing_wall(-0.5 + 0.12 * (i % 2), 1.7) for i in range(8)])
-    chosen = informed_settings(start=tuple(map(float, truth[0])), start_position_sigma=0.05)
+    chosen = mixture_settings(start=tuple(map(float, truth[0])), start_position_sigma=0.05)
     for seed in range(2):
         walked(localizer(chosen, seed), truth, 0.015)
 
@@ -222,7 +222,7 @@ def test_a_prediction_that_is_off_does_not_make_an_image_count_less() -> None:
 def test_a_kidnapped_robot_gives_the_same_bytes_with_any_number_of_threads() -> None:
     runs = []
     for threads in (1, 2, 3):
-        robot = localizer(informed_settings(start=START, threads=threads), 3)
+        robot = localizer(mixture_settings(start=START, threads=threads), 3)
         images = [photo(state) for state in KIDNAPPED[:6]]
         runs.append([content(robot.step(image, np.zeros(3))) for image in images])
     assert runs[0] == runs[1] == runs[2]

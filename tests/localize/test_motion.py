@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from pipelines.artifacts.errors import OptionError
 from pipelines.geometry.pose import inverse, planar_state_of, world_from_base_planar, wrap_angle
-from pipelines.localize.motion import MotionModel, checked_increment, predict
+from pipelines.localize.motion import checked_increment, predict
+from pipelines.localize.settings import MotionModel
 from pipelines.localize.state_space import PLANAR, SPATIAL
 
 EXACT = MotionModel(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -14,7 +14,8 @@ from pipelines.localize.observation import (
     Observer,
     is_same,
 )
-from pipelines.render.channels import Channels, channel_image
+from pipelines.render.channels import channel_image
+from pipelines.render.choices import Channels
 from tests.report_samples import CAMERA, facing_wall, photo
 
 TRUTH = facing_wall(-0.4, 1.7, 0.15)

@@ -25,8 +25,8 @@ from tests.sequence_samples import (
     SCENE,
     TRUTH,
     content,
-    informed_settings,
     localizer,
+    mixture_settings,
 )
 
 ASIDE = np.array([0.0, 0.02, 0.0])
@@ -44,7 +44,7 @@ def run_with_pnp(known: tuple[int, ...], statuses: str = "gttttt") -> Run:
         beside(frame, answer(RUN_TRUTH[index] + ASIDE if index in known else None), noted=True)
         for index, frame in enumerate(run.frames)
     )
-    settings = {**run.settings, "method": "filter", "with_pnp": True, "proposal": "appearance"}
+    settings = {**run.settings, "method": "filter", "with_pnp": True, "proposal": "retrieval"}
     return replace(run, frames=frames, settings=settings)
 
 
@@ -135,13 +135,13 @@ def share_near(record: FrameRecord, truth: FloatArray) -> float:
 
 
 def test_a_hypothesis_says_where_to_look_and_not_what_to_believe() -> None:
-    alone = informed_settings(proposal="pnp", start_particles=60)
+    alone = mixture_settings(proposal="pnp", start_particles=60)
     truth, wrong = TRUTH[0], TRUTH[0] + [2.2, -0.6, 0.4]
     near, image = truth + 0.05, photo(truth)
     assert share_near(localizer(alone).step(image, hypotheses=np.stack([wrong, near])), truth) > 0.3
     # The few particles that are spread over the place miss it.
     assert share_near(localizer(alone).step(image), truth) < 1e-3
-    misled = localizer(informed_settings()).step(image, hypotheses=wrong[None])
+    misled = localizer(mixture_settings()).step(image, hypotheses=wrong[None])
     assert share_near(misled, truth) > 0.3
 
 

@@ -21,7 +21,8 @@ from pipelines.localize.retrieval import (
     states_around_views,
 )
 from pipelines.localize.state_space import PLANAR, SPATIAL
-from pipelines.render.channels import ZERO, Channels, views_in_channels
+from pipelines.render.channels import ZERO, views_in_channels
+from pipelines.render.choices import Channels
 from pipelines.render.renderer import Renderer
 from tests.report_samples import CAMERA, MOUNT, facing_wall, photo, wall_scene
 

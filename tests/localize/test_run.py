@@ -325,3 +325,23 @@ def test_impossible_degrees_of_freedom_are_refused(tmp_path: Path, dimension: ob
         write_json(file, "frames/0001/frame", header)
     with pytest.raises(InputError, match=r"run\.h5"):
         load_run(path)
+
+
+def test_settings_of_earlier_versions_get_their_present_names(tmp_path: Path) -> None:
+    former = {
+        "strategy": "informed",
+        "proposal": "appearance",
+        "with_pnp": True,
+        "start": [1.0, 2.0, 0.5],
+        "likelihood": {"cost": "zncc", "sharpness": 60.0, "one_pixel_in": 5},
+    }
+    run = replace(sample_run(), settings=former)
+    save_run(tmp_path / "run.h5", run, overwrite=False)
+    loaded = load_run(tmp_path / "run.h5")
+    assert loaded.settings == {
+        "strategy": "mixture",
+        "proposal": "retrieval",
+        "with_pnp": True,
+        "start": [1.0, 2.0, 0.5],
+        "likelihood": {"cost": "zncc", "inverse_temperature": 60.0, "pixel_subsampling": 5},
+    }

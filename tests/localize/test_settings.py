@@ -8,11 +8,8 @@ import pytest
 
 from pipelines.artifacts.errors import OptionError
 from pipelines.localize.likelihood import Likelihood
-from pipelines.localize.motion import MotionModel
-from pipelines.localize.settings import MAX_PARTICLES, LocalizerSettings
-from pipelines.render.blending import Blending
-from pipelines.render.channels import Channels
-from pipelines.render.comparison import Cost
+from pipelines.localize.settings import MAX_PARTICLES, LocalizerSettings, MotionModel
+from pipelines.render.choices import Blending, Channels, Cost
 
 NAN, INF = math.nan, math.inf
 
@@ -20,24 +17,24 @@ NAN, INF = math.nan, math.inf
 IMPOSSIBLE: dict[str, tuple[tuple[Any, ...], str]] = {
     "method": (("sift", ""), "method"),
     "proposal": (("none", ""), "proposal"),
-    "map_position_sigma": ((-0.1, NAN, INF), "map position sigma"),
-    "map_heading_sigma": ((-0.1, 4.0, NAN, INF), "map heading sigma"),
-    "degrees_of_freedom": ((0, 2, 4, 7, NAN), "degrees of freedom"),
+    "map_position_sigma": ((-0.1, NAN, INF), "map_position_sigma"),
+    "map_heading_sigma": ((-0.1, 4.0, NAN, INF), "map_heading_sigma_deg"),
+    "degrees_of_freedom": ((0, 2, 4, 7, NAN), "degrees_of_freedom"),
     "strategy": (("", "Condensation", "annealed"), "strategy"),
     "resampling": (("", "wheel"), "resampling"),
     "estimate": (("", "median"), "estimate"),
     "quality": (("", "finest"), "quality"),
     "particles": ((0, -1, MAX_PARTICLES + 1, NAN), "particles"),
-    "start_particles": ((0, -5, MAX_PARTICLES + 1), "number of particles at the start"),
-    "start_position_sigma": ((-0.1, NAN, INF), "start position sigma"),
-    "start_heading_sigma": ((-0.1, 4.0, NAN, INF), "start heading sigma"),
-    "resampling_threshold": ((-0.1, 1.1, NAN), "resampling threshold"),
-    "smallest_effective_share": ((-0.1, 0.6, NAN), "smallest effective share"),
-    "shrink_factor": ((-0.1, 1.5, NAN), "shrink factor"),
+    "start_particles": ((0, -5, MAX_PARTICLES + 1), "start_particles"),
+    "start_position_sigma": ((-0.1, NAN, INF), "start_position_sigma"),
+    "start_heading_sigma": ((-0.1, 4.0, NAN, INF), "start_heading_sigma_deg"),
+    "resampling_threshold": ((-0.1, 1.1, NAN), "resampling_threshold"),
+    "smallest_effective_share": ((-0.1, 0.6, NAN), "smallest_effective_share"),
+    "shrink_factor": ((-0.1, 1.5, NAN), "shrink_factor"),
     "roughening": ((-1.0, 11.0, NAN, INF), "roughening"),
-    "coarse_width": ((3, 0, -20, 5000), "coarse width"),
-    "fine_width": ((3, 0, -40, 5000), "fine width"),
-    "refine_width": ((-1, 3, 39, 5000, NAN), "refine width"),
+    "coarse_width": ((3, 0, -20, 5000), "coarse_width"),
+    "fine_width": ((3, 0, -40, 5000), "fine_width"),
+    "refine_width": ((-1, 3, 39, 5000, NAN), "refine_width"),
     "start": (
         ((NAN, 0.0, 0.0), (0.0, INF, 0.0), (0.0, 0.0, -INF), (0.0, 0.0), (0.0,) * 6),
         "start",
@@ -53,7 +50,7 @@ IMPOSSIBLE: dict[str, tuple[tuple[Any, ...], str]] = {
         ),
         "area",
     ),
-    "threads": ((0, -2, 5000), "number of threads"),
+    "threads": ((0, -2, 5000), "threads"),
 }
 CASES = [(name, value, text) for name, (values, text) in IMPOSSIBLE.items() for value in values]
 
@@ -94,7 +91,7 @@ def test_the_ends_of_the_ranges_are_possible(name: str, value: Any) -> None:
 
 
 def test_a_search_begins_with_as_many_hypotheses_as_its_strategy_needs() -> None:
-    for strategy in ("informed", "coarse_to_fine"):
+    for strategy in ("mixture", "coarse_to_fine"):
         chosen = LocalizerSettings(strategy=strategy)
         assert chosen.search_particles > 10 * chosen.particles
         assert LocalizerSettings(strategy=strategy, start_particles=777).search_particles == 777
@@ -106,7 +103,9 @@ def test_a_search_begins_with_as_many_hypotheses_as_its_strategy_needs() -> None
 def test_images_may_be_as_fine_as_the_finest_alignment() -> None:
     assert LocalizerSettings(fine_width=4096, refine_width=4096).widths == (20, 4096)
     assert LocalizerSettings(fine_width=4096, refine_width=0).fine_width == 4096
-    with pytest.raises(OptionError, match="refine width 160 is not between 200 and 4096"):
+    with pytest.raises(
+        OptionError, match="refine_width 160 is not between 200, which is fine_width, and 4096"
+    ):
         LocalizerSettings(fine_width=200)
 
 
@@ -148,9 +147,9 @@ def test_what_the_run_file_keeps_is_plain_json_and_complete() -> None:
     assert values["area"] == [0.0, 1.0, -1.0, 2.0]
     assert values["likelihood"] == {
         "cost": "zncc",
-        "sharpness": 50.0,
+        "inverse_temperature": 50.0,
         "fit_gain": False,
-        "one_pixel_in": 1,
+        "pixel_subsampling": 1,
         "channels": "contrast",
     }
     assert values["motion"]["alpha1"] == 0.5

@@ -16,7 +16,7 @@ from pipelines.localize.run import FrameRecord
 from pipelines.localize.state_space import SPATIAL
 from tests.lightfield_samples import looking
 from tests.report_samples import CAMERA, MOUNT, photo_from
-from tests.sequence_samples import BLACK, SCENE, TRUTH, content, informed_settings, scene_of
+from tests.sequence_samples import BLACK, SCENE, TRUTH, content, mixture_settings, scene_of
 
 
 def held_in_a_hand() -> FloatArray:
@@ -48,7 +48,7 @@ NEAR = {
 
 
 def follow(seed: int, *, has_odometry: bool, **changes: Any) -> list[FrameRecord]:
-    chosen = informed_settings(degrees_of_freedom=6, **changes)
+    chosen = mixture_settings(degrees_of_freedom=6, **changes)
     camera = Localizer(SCENE, CAMERA, np.eye(4), chosen, np.random.default_rng(seed))
     records = []
     for number, image in enumerate(IMAGES):
@@ -94,7 +94,7 @@ def test_a_camera_is_found_around_the_recorded_views() -> None:
 
 def test_a_camera_that_is_swept_about_is_found_in_every_image() -> None:
     # Five times as far from image to image as the random walk says.
-    chosen = informed_settings(degrees_of_freedom=6, particles=100, **NEAR)
+    chosen = mixture_settings(degrees_of_freedom=6, particles=100, **NEAR)
     camera = Localizer(SCENE, CAMERA, np.eye(4), chosen, np.random.default_rng(1))
     for number in (0, 4, 0, 5, 1, 6, 2, 7, 3):
         record = camera.step(IMAGES[number])
@@ -116,7 +116,7 @@ def test_the_other_strategies_do_six_degrees_of_freedom_too(strategy: str) -> No
 
 
 def test_a_covered_lens_is_blind_with_six_degrees_of_freedom_too() -> None:
-    chosen = informed_settings(degrees_of_freedom=6, **NEAR)
+    chosen = mixture_settings(degrees_of_freedom=6, **NEAR)
     camera = Localizer(SCENE, CAMERA, np.eye(4), chosen, np.random.default_rng(0))
     camera.step(IMAGES[0])
     spreads = []
@@ -138,7 +138,7 @@ def test_the_seed_determines_everything_in_six_dimensions() -> None:
 
 def test_the_mount_stands_between_body_and_camera() -> None:
     # A drone: its camera sits on a mount, and the state is the drone's.
-    chosen = informed_settings(
+    chosen = mixture_settings(
         degrees_of_freedom=6,
         start=tuple(map(float, SPATIAL.states(POSES[0] @ inverse(MOUNT)))),
         start_position_sigma=0.05,
@@ -178,7 +178,7 @@ def street(spacing: float = 2.0) -> Scene:
 def alone(seed: int, spacing: float, steps: Sequence[float]) -> tuple[int, int]:
     """How many images of a sequence with these steps (m) are tracked, and how many wrongly."""
     truth = [on_the_street(x, np.sin(x / 4.0)) for x in 3.3 + np.cumsum(steps)]
-    chosen = informed_settings(degrees_of_freedom=6, particles=100)
+    chosen = mixture_settings(degrees_of_freedom=6, particles=100)
     car = Localizer(street(spacing), CAMERA, np.eye(4), chosen, np.random.default_rng(seed))
     followed, wrong = 0, 0
     for pose in truth:
@@ -211,7 +211,7 @@ def test_a_car_that_brakes_hard_is_found_again_or_not_at_all(seed: int) -> None:
 
 def test_a_speed_that_goes_on_is_no_measurement() -> None:
     """The estimate is that of the image, wherever the speed so far would have led."""
-    chosen = informed_settings(degrees_of_freedom=6, **NEAR)
+    chosen = mixture_settings(degrees_of_freedom=6, **NEAR)
     model = MeasurementModel.of_scene(SCENE, np.eye(4), chosen)
     camera = Localizer(SCENE, CAMERA, np.eye(4), chosen, np.random.default_rng(0), model)
     observer = Observer(CAMERA, chosen.widths, None)

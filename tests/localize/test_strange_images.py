@@ -17,9 +17,9 @@ from tests.chain_samples import ELEVATORS, map_elevators
 from tests.report_samples import photo, smooth
 from tests.sequence_samples import (
     TRUTH,
-    informed_settings,
     localize_sequence,
     localizer,
+    mixture_settings,
     position_error,
 )
 
@@ -75,7 +75,7 @@ def test_the_wall_is_not_found_in_images_of_something_else(change: Change) -> No
     images = [change(photo(state), number) for number, state in enumerate(TRUTH)]
     confidences = []
     for seed in range(2):
-        records = localize_sequence(localizer(informed_settings(), seed), images=images)
+        records = localize_sequence(localizer(mixture_settings(), seed), images=images)
         assert "tracking" not in {record.status for record in records}, stated(records)
         confidences += [record.confidence for record in records]
         # It says that it is lost, or still searching where one image fits some place.
@@ -94,7 +94,7 @@ def test_another_painting_is_not_taken_for_this_one() -> None:
     for paint in (other, smooth):
         images = [photo(state, paint=paint) for state in TRUTH]
         for seed in range(2):
-            records = localize_sequence(localizer(informed_settings(), seed), images=images)
+            records = localize_sequence(localizer(mixture_settings(), seed), images=images)
             assert "tracking" not in {record.status for record in records}, stated(records)
 
 
@@ -105,7 +105,7 @@ def test_a_robot_that_was_followed_is_lost_when_images_show_something_else(
     images = [photo(state) for state in TRUTH[:4]]
     images += [change(photo(state), number) for number, state in enumerate(TRUTH[4:])]
     for seed in range(2):
-        records = localize_sequence(localizer(informed_settings(), seed), images=images)
+        records = localize_sequence(localizer(mixture_settings(), seed), images=images)
         assert records[3].status == "tracking", stated(records)
         # Odometry may carry it for an image or two, no longer.
         assert "tracking" not in {record.status for record in records[6:]}, stated(records)
@@ -128,8 +128,8 @@ def test_the_wall_is_found_in_another_light_as_in_its_own() -> None:
     changed = [lit(image, number) for number, image in enumerate(images)]
     assert np.abs(np.array(changed).astype(float) - np.array(images)).mean() > 15.0
     for seed in range(2):
-        plain = localize_sequence(localizer(informed_settings(), seed), images=images)
-        records = localize_sequence(localizer(informed_settings(), seed), images=changed)
+        plain = localize_sequence(localizer(mixture_settings(), seed), images=images)
+        records = localize_sequence(localizer(mixture_settings(), seed), images=changed)
         found = [record.status for record in records].index("tracking")
         assert found <= 2, stated(records)
         assert {record.status for record in records[found:]} == {"tracking"}, stated(records)

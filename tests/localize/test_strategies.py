@@ -18,9 +18,8 @@ from pipelines.localize.estimate import mean_state, state_covariance
 from pipelines.localize.likelihood import Likelihood
 from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.mixture_mcl import MixtureProposalMcl
-from pipelines.localize.motion import MotionModel
 from pipelines.localize.observation import Observation, Observations
-from pipelines.localize.settings import LocalizerSettings
+from pipelines.localize.settings import LocalizerSettings, MotionModel
 from pipelines.localize.state_space import PLANAR
 from pipelines.localize.strategies import (
     CoarseToFine,
@@ -29,8 +28,7 @@ from pipelines.localize.strategies import (
     Strategy,
     start_belief,
 )
-from pipelines.render.channels import Channels
-from pipelines.render.comparison import Cost
+from pipelines.render.choices import Channels, Cost
 from pipelines.render.renderer import Renderer
 from tests.report_samples import MOUNT, wall_scene
 
@@ -69,7 +67,7 @@ class Told(MeasurementModel):
         return self.rule(states)
 
     def evidence(
-        self, states: FloatArray, observation: Observation, one_pixel_in: int = 1
+        self, states: FloatArray, observation: Observation, pixel_subsampling: int = 1
     ) -> FloatArray:
         # Whatever is seen, it is of the map.
         return np.full(len(states), 20.0)

@@ -11,7 +11,7 @@ from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_scene
 from pipelines.localize.evaluation import RunEvaluation, evaluate_run
 from pipelines.localize.settings import LocalizerSettings
-from pipelines.localize.stage import localize_dataset
+from pipelines.localize.stage import RunOrigin, localize_dataset
 from tests.chain_samples import ELEVATORS, map_elevators
 
 # Runs of 20 that have to end within 15 cm and 3 degrees.
@@ -29,9 +29,7 @@ def evaluations(scene: Scene, odometry: str, seeds: range) -> list[RunEvaluation
                 dataset,
                 LocalizerSettings(),
                 seed=seed,
-                odometry_source=source,
-                scene_path="scene.h5",
-                record={},
+                origin=RunOrigin("scene.h5", source),
                 progress=no_progress,
             )
         )

@@ -11,17 +11,12 @@ from pipelines import native
 from pipelines.artifacts.arrays import Float32Array, FloatArray, Int32Array
 from pipelines.geometry.camera import Intrinsics
 from pipelines.lightfield.views import with_depth as with_depths
-from pipelines.render.blending import (
-    MOST_RANKED,
-    Blending,
-    candidate_positions,
-    tile_borders,
-)
+from pipelines.render.blending import MOST_RANKED, candidate_positions, tile_borders
 from pipelines.render.candidate_views import build_index
+from pipelines.render.choices import Blending, Cost, Quality
 from pipelines.render.comparison import (
     EVIDENCE_BINS,
     EVIDENCE_ROWS,
-    Cost,
     PixelEvidence,
     compare,
     evidence_table,
@@ -31,7 +26,7 @@ from pipelines.render.delaunay_mesh import MESH_LIMITS
 from pipelines.render.depth_samples import take_samples
 from pipelines.render.reference import frustum_positions
 from pipelines.render.renderer import Renderer
-from pipelines.render.surface import Quality, depth_inverse_depth, source_views
+from pipelines.render.surface import depth_inverse_depth, source_views
 from tests.lightfield_samples import WALL, looking, noise_views, pinhole, tilted_wall
 from tests.render.test_renderers_agree import at_wall, somewhere, with_depth
 

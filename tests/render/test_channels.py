@@ -16,10 +16,10 @@ from pipelines.render.channels import (
     SMALLEST_SPREAD,
     WINDOW,
     ZERO,
-    Channels,
     channel_image,
     views_in_channels,
 )
+from pipelines.render.choices import Channels
 from tests.lightfield_samples import looking, pinhole
 from tests.report_samples import facing_wall, photo
 

@@ -9,7 +9,7 @@ from pipelines.artifacts.arrays import BoolArray, Float32Array, FloatArray
 from pipelines.artifacts.errors import OptionError
 from pipelines.geometry.plane import plane_inverse_depth
 from pipelines.lightfield.views import with_depth
-from pipelines.render.blending import Blending
+from pipelines.render.choices import Blending, Cost, Quality
 from pipelines.render.comparison import (
     GRADIENT_LIMIT,
     LARGEST_GAIN,
@@ -19,13 +19,11 @@ from pipelines.render.comparison import (
     UNCOVERED_ROBUST,
     UNCOVERED_SQUARED,
     UNCOVERED_ZNCC,
-    Cost,
     compare,
     prepared,
     prepared_pixels,
 )
 from pipelines.render.renderer import Renderer
-from pipelines.render.surface import Quality
 from tests.lightfield_samples import WALL, looking, photo, photographed, pinhole
 
 # Evidence is of another kind: test_evidence_cost.

@@ -14,11 +14,10 @@ from pipelines.artifacts.errors import OptionError
 from pipelines.dataset.images import decode_image
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.run import load_run
-from pipelines.render.blending import Blending
+from pipelines.render.choices import Blending, Quality
 from pipelines.render.devices import Device, chosen_gpu, resolved_device
 from pipelines.render.renderer import Renderer
 from pipelines.render.renderer_choice import renderer_of_scene
-from pipelines.render.surface import Quality
 from tests.chain_samples import ELEVATORS, first_frames, lfnav, map_elevators, succeed
 
 POSE = "-1.2,-2.0,90"
@@ -164,7 +163,7 @@ def test_rendering_on_the_gpu_from_the_shell(gpu: Any, scene_path: Path, tmp_pat
 
 def test_localizing_on_the_gpu(gpu: Any, scene_path: Path, tmp_path: Path) -> None:
     data = first_frames(ELEVATORS / "test", tmp_path / "data", 2)
-    command: list[str | Path] = ["localize", scene_path, data, "--quiet", "--init", "-1.7,-3.2,90"]
+    command: list[str | Path] = ["localize", scene_path, data, "--quiet", "--start", "-1.7,-3.2,90"]
     command += ["--particles", "60", "--start-particles", "60"]
     runs = {}
     for name, device in (("a", "gpu"), ("b", "gpu"), ("c", "cpu"), ("d", "auto")):
@@ -188,7 +187,7 @@ def test_docking_hands_the_device_on(scene_path: Path, monkeypatch: pytest.Monke
     from pipelines.dock import stage
 
     def dock_robot(*arguments: Any, **_: Any) -> Any:
-        raise OptionError(f"asked for {arguments[5].device}")
+        raise OptionError(f"asked for {arguments[0].filter_settings.device}")
 
     monkeypatch.setattr(stage, "dock_robot", dock_robot)
     command: list[str | Path] = ["dock", scene_path, "--robot", f"model:{scene_path}"]

@@ -8,12 +8,11 @@ import pytest
 
 from pipelines.artifacts.arrays import BoolArray, Float32Array, FloatArray
 from pipelines.artifacts.errors import OptionError
-from pipelines.render.blending import Blending
+from pipelines.render.choices import Blending, Cost, Quality
 from pipelines.render.comparison import (
     EVIDENCE_BIN,
     EVIDENCE_BINS,
     EVIDENCE_ROWS,
-    Cost,
     PixelEvidence,
     compare,
     evidence_table,
@@ -22,7 +21,6 @@ from pipelines.render.comparison import (
 )
 from pipelines.render.reference import render_reference
 from pipelines.render.renderer import Renderer
-from pipelines.render.surface import Quality
 from tests.lightfield_samples import WALL, looking, noise_views, pinhole
 from tests.render.test_renderers_agree import (
     ARRANGEMENTS,

@@ -19,20 +19,18 @@ from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane
 from pipelines.lightfield.views import Views, build_views
 from pipelines.render import gpu_renderer
-from pipelines.render.blending import Blending
+from pipelines.render.choices import Blending, Cost, Quality
 from pipelines.render.comparison import (
     UNCOVERED_GRADIENT,
     UNCOVERED_ROBUST,
     UNCOVERED_SQUARED,
     UNCOVERED_ZNCC,
-    Cost,
 )
 from pipelines.render.gpu_device import Gpu
 from pipelines.render.gpu_renderer import GpuRenderer
 from pipelines.render.gpu_work import MEMORY_AT_A_TIME, Sizes, tile_bytes
 from pipelines.render.reference import render_reference
 from pipelines.render.renderer import Renderer
-from pipelines.render.surface import Quality
 from tests.lightfield_samples import WALL, looking, noise_views, pinhole, tilted_wall
 from tests.render.test_evidence_cost import random_evidence
 from tests.render.test_renderers_agree import (

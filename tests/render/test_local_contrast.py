@@ -6,15 +6,8 @@ import pytest
 from pipelines.dock.fine_alignment import correlation
 from pipelines.geometry.camera import Intrinsics
 from pipelines.localize.observation import Observation
-from pipelines.render.channels import (
-    LUMA,
-    SCALE,
-    SMALLEST_SPREAD,
-    WINDOW,
-    ZERO,
-    Channels,
-    channel_image,
-)
+from pipelines.render.channels import LUMA, SCALE, SMALLEST_SPREAD, WINDOW, ZERO, channel_image
+from pipelines.render.choices import Channels
 from pipelines.render.renderer import RenderingWithSurface
 
 PINHOLE = Intrinsics(24, 18, 20.0, 20.0, 11.5, 8.5)

@@ -19,7 +19,7 @@ from pipelines.geometry.pose import world_from_base_planar
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_scene, scene_provenance
 from pipelines.lightfield.views import area_average
-from pipelines.render.blending import Blending
+from pipelines.render.choices import Blending
 from pipelines.render.renderer import Renderer, Rendering
 from pipelines.render.stage import RenderSettings, render, virtual_intrinsics
 from tests.lightfield_samples import WALL

@@ -8,14 +8,9 @@ import pytest
 from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.geometry.pose import world_from_base_planar
 from pipelines.lightfield.views import Views, build_views
-from pipelines.render.channels import Channels, channel_image, views_in_channels
-from pipelines.render.comparison import (
-    EVIDENCE_BIN,
-    EVIDENCE_BINS,
-    EVIDENCE_ROWS,
-    Cost,
-    PixelEvidence,
-)
+from pipelines.render.channels import channel_image, views_in_channels
+from pipelines.render.choices import Channels, Cost
+from pipelines.render.comparison import EVIDENCE_BIN, EVIDENCE_BINS, EVIDENCE_ROWS, PixelEvidence
 from pipelines.render.pixel_evidence import UNKNOWN_SHARE, learn_evidence
 from pipelines.render.renderer import Renderer
 from tests.lightfield_samples import WALL, looking, pinhole

@@ -11,10 +11,10 @@ from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import Plane, plane_inverse_depth
 from pipelines.geometry.pose import base_from_camera_mount, world_from_base_planar
 from pipelines.lightfield.views import Views, build_views, without_view
-from pipelines.render.blending import MOST_RANKED, Blending
+from pipelines.render.blending import MOST_RANKED
+from pipelines.render.choices import Blending, Quality
 from pipelines.render.reference import render_reference
 from pipelines.render.renderer import Renderer
-from pipelines.render.surface import Quality
 from pipelines.render.view_mapping import ViewMapping
 from tests.lightfield_samples import WALL, looking, noise_views, pinhole, tilted_wall
 

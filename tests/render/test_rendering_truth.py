@@ -16,9 +16,8 @@ from pipelines.lightfield.views import (
     shrink,
     with_depth,
 )
-from pipelines.render.blending import Blending
+from pipelines.render.choices import Blending, Quality
 from pipelines.render.renderer import Renderer, Rendering
-from pipelines.render.surface import Quality
 from tests.lightfield_samples import (
     WALL,
     looking,

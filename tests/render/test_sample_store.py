@@ -6,10 +6,10 @@ import pytest
 from pipelines.artifacts.arrays import BoolArray, FloatArray
 from pipelines.lightfield.views import Views, build_views
 from pipelines.render import sample_store
+from pipelines.render.choices import Quality
 from pipelines.render.depth_samples import BATCH, BATCHES, take_samples
 from pipelines.render.renderer import Renderer
 from pipelines.render.sample_store import SampleStore
-from pipelines.render.surface import Quality
 from tests.lightfield_samples import WALL, looking, noise_views, pinhole
 
 CAMERA = pinhole(24, 18, 20.0)

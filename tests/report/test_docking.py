@@ -20,9 +20,9 @@ from pipelines.report.docking import docking_figure, docking_verdict
 from pipelines.report.stage import ReportSettings, report
 from pipelines.report.surroundings import surroundings_of
 from pipelines.report.tracks import tracks_of
-from tests.dock_samples import GOAL, START, PaintedRobot, docked, wall_scene, written
+from tests.dock_samples import GOAL, PaintedRobot, docked, wall_scene, written
 
-SETTINGS = DockSettings(start=tuple(START), least_distance=0.4, staging_distance=0.5)
+SETTINGS = DockSettings(least_distance=0.4, staging_distance=0.5)
 
 
 @pytest.fixture(scope="module")

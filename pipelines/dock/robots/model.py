@@ -6,8 +6,9 @@ from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.dock.robots.noise import SensorNoise, SimulatedMotion, SimulatedRobot, as_recorded
 from pipelines.geometry.camera import Camera, Undistorter
 from pipelines.lightfield.scene import Scene
+from pipelines.render.choices import Quality
 from pipelines.render.renderer import Renderer
-from pipelines.render.surface import Quality, quality_named
+from pipelines.render.surface import quality_named
 
 
 class ModelRobot(SimulatedRobot):
