@@ -24,12 +24,11 @@ from pipelines.geometry.pose import checked_poses
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.belief import Region, effective_sample_size, region_of_area
 from pipelines.localize.confidence import confidence
-from pipelines.localize.dataset_camera import camera_and_mount
 from pipelines.localize.estimate import max_weight_state, mean_state, modes_table
 from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.mixture_mcl import MixtureProposalMcl
 from pipelines.localize.motion import checked_increment
-from pipelines.localize.observation import Observations, Observer
+from pipelines.localize.observation import Observations, Observer, camera_and_mount
 from pipelines.localize.run import FrameRecord
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import magnitudes, sigmas_of

@@ -20,11 +20,19 @@ import cv2
 import numpy as np
 
 from pipelines.artifacts.arguments import checked_instance, checked_number
-from pipelines.artifacts.arrays import BoolArray, Float32Array, ImageArray, checked_array
-from pipelines.artifacts.errors import OptionError, quoted
+from pipelines.artifacts.arrays import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    ImageArray,
+    checked_array,
+)
+from pipelines.artifacts.errors import InputError, OptionError, quoted
+from pipelines.dataset.dataset import CAMERA_FILE, Dataset
 from pipelines.dataset.mask import SMALLEST_USED_SHARE
 from pipelines.geometry.camera import Camera, Intrinsics, Undistorter
 from pipelines.lightfield.views import area_average, query_intrinsics
+from pipelines.localize.state_space import StateSpace
 from pipelines.render.channels import channel_image
 from pipelines.render.choices import Channels
 
@@ -285,3 +293,31 @@ def _used_pixels(
             f"across, less than {SMALLEST_USED_SHARE:.0%}; mask coherent areas and fewer of them"
         )
     return used
+
+
+def camera_and_mount(dataset: Dataset, space: StateSpace) -> tuple[Camera, FloatArray]:
+    """The camera of a data set, and ``body_from_camera``, ``(4, 4)``.
+
+    Args:
+        dataset: what was recorded.
+        space: what a state is; with six degrees of freedom the camera may be the body.
+
+    Raises:
+        InputError: the data set does not say.
+        OptionError: no data set.
+    """
+    checked_instance(dataset, "the data set", Dataset)
+    if dataset.camera is None:
+        raise InputError(
+            dataset.root / CAMERA_FILE, "is missing: localization needs the robot's camera"
+        )
+    if dataset.base_from_camera is None and space.angles == 3:
+        return dataset.camera, np.eye(4)
+    if dataset.base_from_camera is None:
+        raise InputError(
+            dataset.root / CAMERA_FILE,
+            "has no [mount]: a planar robot needs to know where its camera sits",
+            "add [mount] with x, y, z, roll, pitch, yaw, or give "
+            "--degrees-of-freedom 6 for a hand-held camera",
+        )
+    return dataset.camera, dataset.base_from_camera

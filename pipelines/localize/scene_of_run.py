@@ -4,6 +4,8 @@ import os
 from pathlib import Path
 
 from pipelines.artifacts.errors import InputError
+from pipelines.lightfield.scene import Scene
+from pipelines.lightfield.scene_file import load_scene
 from pipelines.localize.run import Run
 
 
@@ -14,6 +16,29 @@ def relative_scene_path(scene_path: Path, run_path: Path) -> str:
     except ValueError:
         # On Windows there is no way from one drive to another.
         return str(scene_path.resolve())
+
+
+def load_scene_of_run(run: Run, run_path: Path, given: Path | None) -> tuple[Path, Scene]:
+    """The scene that a run was made with, and its file.
+
+    Args:
+        run: the run.
+        run_path: its file.
+        given: where the scene is now; None: where it was.
+
+    Raises:
+        InputError: it is not there, or unreadable, or the run was made with another one.
+    """
+    path = locate_scene(run, run_path) if given is None else given
+    if given is None and not path.is_file():
+        raise InputError(
+            path,
+            f"is not there, but {run_path} was made with it",
+            "say where the scene is now with --scene",
+        )
+    scene = load_scene(path)
+    check_run_belongs_to(run, scene.identifier, run_path, path)
+    return path, scene
 
 
 def locate_scene(run: Run, run_path: Path) -> Path:

@@ -29,11 +29,11 @@ from pipelines.geometry.planarity import check_planar
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_scene
 from pipelines.localize.belief import Region
-from pipelines.localize.dataset_camera import camera_and_mount
 from pipelines.localize.description import RunSummary
 from pipelines.localize.landmarks import LandmarkSource
 from pipelines.localize.localizer import Localizer, region_of
 from pipelines.localize.map_heights import notes_on_heights
+from pipelines.localize.observation import camera_and_mount
 from pipelines.localize.pnp import MountedCamera, PnpLocalizer
 from pipelines.localize.pnp_frames import beside, pnp_record
 from pipelines.localize.run import FrameRecord, Run, save_run

@@ -10,9 +10,9 @@ from pipelines.artifacts.errors import InputError, LfnavError, OptionError
 from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.lightfield.obstacle_points import obstacle_points
 from pipelines.lightfield.scene import Scene
-from pipelines.lightfield.scene_file import load_scene, scene_provenance
+from pipelines.lightfield.scene_file import scene_provenance
 from pipelines.localize.run import Run, load_run
-from pipelines.localize.scene_of_run import check_run_belongs_to, locate_scene
+from pipelines.localize.scene_of_run import load_scene_of_run
 from pipelines.render.choices import Quality
 from pipelines.render.renderer import Renderer
 from pipelines.render.surface import quality_named
@@ -124,9 +124,7 @@ def report(
     checked_instance(settings, "settings", ReportSettings)
     check_output(output, overwrite, PAGE_NAME)
     run = load_run(run_path)
-    scene_path = _scene_path(run, run_path, settings.scene)
-    scene = load_scene(scene_path)
-    check_run_belongs_to(run, scene.identifier, run_path, scene_path)
+    scene_path, scene = load_scene_of_run(run, run_path, settings.scene)
     indices = chosen_frames(settings.frames, len(run.frames))
     content = _content(run, run_path, scene, indices, settings.estimate, progress)
     figures = _drawn(content, progress)
@@ -163,17 +161,6 @@ def chosen_frames(wanted: tuple[int, ...] | None, count: int) -> tuple[int, ...]
         if not 0 <= index < count:
             raise OptionError(f"the run has no frame {index}; its frames are 0 to {count - 1}")
     return tuple(sorted(set(wanted)))
-
-
-def _scene_path(run: Run, run_path: Path, given: Path | None) -> Path:
-    path = locate_scene(run, run_path) if given is None else given
-    if given is None and not path.is_file():
-        raise InputError(
-            path,
-            f"is not there, but {run_path} was made with it",
-            "say where the scene is now with --scene",
-        )
-    return path
 
 
 def _content(
