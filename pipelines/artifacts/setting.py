@@ -183,7 +183,8 @@ class Entry:
             return self.kind.read(self._current(value))
         except (ValueError, TypeError, OverflowError) as error:
             is_choice = self.kind.choices and type(value) is int
-            found = quoted(value) if isinstance(value, str) or is_choice else type_name(value)
+            found = str(value) if is_choice else type_name(value)
+            found = quoted(value) if isinstance(value, str) else found
             raise ValueError(f"is {found}, expected {self.kind.expected}") from error
 
     def parsed_text(self, text: str) -> Any:

@@ -268,7 +268,7 @@ def check_mask(mask: BoolArray, camera: Camera) -> None:
     Raises:
         OptionError: it has another shape.
     """
-    mask = checked_array(mask, "the mask", (None, None), np.bool_)
+    mask = checked_array(mask, "the mask", (...,), np.bool_)
     if mask.shape != (camera.height, camera.width):
         raise OptionError(
             f"the mask has the shape {mask.shape}, "

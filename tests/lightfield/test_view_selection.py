@@ -91,7 +91,7 @@ def test_all_are_kept_where_there_is_room() -> None:
     assert selected(poses, 3) == selected(poses, 99) == [0, 1, 2]
     with pytest.raises(OptionError, match="at least 1"):
         selected(poses, 0)
-    with pytest.raises(OptionError, match="at least 1"):
+    with pytest.raises(OptionError, match="less than 1"):
         ModelSettings(max_views=0)
 
 

@@ -125,7 +125,7 @@ def test_an_image_name_with_a_comma_stays_one_field() -> None:
 
 
 def test_unknown_format_and_estimate_are_refused() -> None:
-    with pytest.raises(OptionError, match="'ply'; known are tum, kitti"):
+    with pytest.raises(OptionError, match="'ply' is none of tum, kitti"):
         export_trajectory(sample_run(), "ply")
     with pytest.raises(OptionError, match="no estimate 'best'"):
         export_trajectory(sample_run(), "tum", "best")

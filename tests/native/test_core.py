@@ -97,7 +97,7 @@ def test_a_process_of_its_own_finds_the_core_from_anywhere(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     "arguments",
     [
-        ["-m", "lfnav_cli.main", "localize", "scene.h5", "drive"],
+        ["-m", "lfnav_cli.main", "localize", "scene.h5", "data", "-o", "run.h5"],
         ["-m", "lfnav_cli.main", "render", "scene.h5", "-o", "views", "--pose", "0,0,0"],
         ["-c", "import pipelines.native"],
     ],
