@@ -26,6 +26,13 @@ def parse_spacing(
     return numbers[0], numbers[-1]
 
 
+def known_kinds() -> list[str]:
+    """What a source can be; the module that says it needs the standard library alone."""
+    from pipelines.dataset.importers.settings import KINDS
+
+    return ["auto", *KINDS]
+
+
 @click.command("import")
 @click.argument("source", type=click.Path(path_type=Path))
 @click.option(
@@ -34,7 +41,7 @@ def parse_spacing(
 @click.option(
     "--from",
     "kind",
-    type=click.Choice(["auto", "grid", "colmap", "nerfstudio", "kitti", "7scenes", "video"]),
+    type=click.Choice(known_kinds()),
     default="auto",
     show_default=True,
     help="What SOURCE is. auto: found out from what lies in it, and said.",

@@ -33,6 +33,7 @@ from pipelines.localize.description import RunSummary
 from pipelines.localize.landmarks import LandmarkSource
 from pipelines.localize.localizer import Localizer, region_of
 from pipelines.localize.map_heights import notes_on_heights
+from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.observation import camera_and_mount
 from pipelines.localize.pnp import MountedCamera, PnpLocalizer
 from pipelines.localize.pnp_frames import beside, pnp_record
@@ -184,6 +185,7 @@ def localize_dataset(
     origin: RunOrigin | None = None,
     progress: Progress = no_progress,
     landmarks: LandmarkSource | None = None,
+    model: MeasurementModel | None = None,
 ) -> Run:
     """Localizes the robot in every frame of a data set, in memory.
 
@@ -195,6 +197,7 @@ def localize_dataset(
         origin: where the data come from; None: the data set itself.
         progress: told how far the work is.
         landmarks: of the features that PnP uses; None: from the scene's surface.
+        model: compares states with images; built from the scene when None.
 
     Raises:
         InputError: the data set lacks camera, mount or odometry, its odometry is not that of a
@@ -206,6 +209,8 @@ def localize_dataset(
     checked_instance(dataset, "the data set", Dataset)
     checked_instance(settings, "settings", LocalizerSettings)
     checked_number(seed, "seed", 0, whole=True)
+    if model is not None and settings.method != "filter":
+        raise OptionError("a measurement model is of use to the filter alone, not to method pnp")
     origin = RunOrigin() if origin is None else checked_instance(origin, "origin", RunOrigin)
     odometry = dataset.root / ODOMETRY_FILE if origin.odometry is None else origin.odometry
     record = origin.record
@@ -235,7 +240,7 @@ def localize_dataset(
     rng = np.random.default_rng(seed)
     localizer = None
     if settings.method == "filter":
-        localizer = Localizer(scene, camera, mount, settings, rng, mask=mask)
+        localizer = Localizer(scene, camera, mount, settings, rng, model, mask)
     locate = _locator(localizer, pnp, region_of(scene, settings), settings, rng)
     frames = []
     for index in progress(range(len(dataset)), "localize", len(dataset)):

@@ -5,6 +5,7 @@ model`` follows at once. The folder appears whole or not at all.
 """
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,13 @@ __all__ = ["ImportSettings", "import_source"]
 FORMAT = "lfnav import"
 RECORD_NAME = "import.json"
 RECONSTRUCTION_FOLDER = "reconstruction"
+# Source -> what reads it. Videos are decoded into the data set, COLMAP models bring points along.
+_READERS: dict[str, Callable[[Path, ImportSettings], Recording]] = {
+    "grid": read_camera_grid,
+    "nerfstudio": lambda source, _: read_nerfstudio(source),
+    "kitti": read_kitti,
+    "7scenes": read_seven_scenes,
+}
 # Degrees by which the cameras may lean on average before the user is told.
 LEANING_DEG = 45.0
 
@@ -75,7 +83,7 @@ def import_source(
             recording = extract_frames(source, folder, settings, progress)
             return _fill(folder, output, found, settings, recording, None, progress)
     colmap = read_colmap(source, settings) if found.kind == "colmap" else None
-    recording = _read(source, found.kind, settings) if colmap is None else colmap.recording
+    recording = _READERS[found.kind](source, settings) if colmap is None else colmap.recording
     if settings.every is not None:
         recording = recording.thinned(settings.every)
     with atomic_folder(output, overwrite, RECORD_NAME) as folder:
@@ -90,16 +98,6 @@ def _recognised(source: Path, kind: str) -> Recognition:
     if kind != "video" and not source.is_dir() and source.suffix.lower() != ".json":
         raise InputError(source, f"is a file; a source of kind {kind} is a folder")
     return Recognition(kind, "--from")
-
-
-def _read(source: Path, kind: str, settings: ImportSettings) -> Recording:
-    if kind == "grid":
-        return read_camera_grid(source, settings)
-    if kind == "nerfstudio":
-        return read_nerfstudio(source)
-    if kind == "kitti":
-        return read_kitti(source, settings)
-    return read_seven_scenes(source, settings)
 
 
 def _fill(

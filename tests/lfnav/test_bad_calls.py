@@ -456,3 +456,11 @@ def test_a_robot_of_ones_own_is_docked(folder: Path) -> None:
     assert result.run is not None
     assert result.run.docking is not None
     assert len(result.run.frames) == len(steps) > 1
+
+
+def test_a_measurement_model_is_for_the_filter_alone(folder: Path) -> None:
+    scene, data = lfnav.load_scene(folder / "scene.h5"), lfnav.load_dataset(folder / "data")
+    model = lfnav.MeasurementModel.of_scene(scene, np.eye(4), SETTINGS)
+    features = lfnav.LocalizerSettings(method="pnp")
+    with pytest.raises(lfnav.OptionError, match="to the filter alone"):
+        lfnav.localize_dataset(scene, data, features, model=model)
