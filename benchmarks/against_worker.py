@@ -2,7 +2,7 @@
 
     python benchmarks/against_worker.py FOLDER
 
-FOLDER holds the scenes and the drive (see ``against``). The first line that is written lists the
+FOLDER holds the scenes and the sequence (see ``against``). The first line that is written lists the
 pieces of work. Each line that is read asks for one and says how long to repeat it, ``{"work": "a
 depth map", "seconds": 0.3}``; the answer is a line with the time of one particle, view, alignment
 or depth map, ``{"cpu_s": 0.1, "wall_s": 0.1}``. All of it on one thread. Nothing but ``pipelines``

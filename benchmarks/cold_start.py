@@ -52,7 +52,7 @@ def commands(folder: Path) -> dict[str, list[str]]:
 
 
 def drive_of_one_image(folder: Path) -> None:
-    """Writes the lobby's test drive up to its first image."""
+    """Writes the lobby's test sequence up to its first image."""
     source = ELEVATORS / "test"
     shutil.copytree(source, folder)
     lines = (source / "rgb.txt").read_text(encoding="utf-8").splitlines(keepends=True)

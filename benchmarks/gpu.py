@@ -1,8 +1,8 @@
-"""The graphics card: particles a second, beside the CPU path and the card's own texture rate.
+"""The GPU: particles a second, beside the CPU path and the GPU's own texture rate.
 
-Everything is counted that a frame needs: poses and camera image go to the card, costs come back.
+Everything is counted that a frame needs: poses and camera image go to the GPU, costs come back.
 The yardstick is a shader that does nothing but read texels, in neighbourhoods of four as bilinear
-sampling does; the share of it says how near the comparison is to the card's limit. A software
+sampling does; the share of it says how near the comparison is to the GPU's limit. A software
 adapter has no speed worth a figure: with one, only the agreement with the CPU path is measured.
 """
 
@@ -40,9 +40,9 @@ Way = tuple[Blending, Quality]
 USUAL = (Blending.UNSTRUCTURED, Quality.PLANE)
 WAYS = {
     "plane": USUAL,
-    "plane, net of triangles": (Blending.DELAUNAY, Quality.PLANE),
+    "plane, Delaunay mesh": (Blending.DELAUNAY, Quality.PLANE),
     "depth maps": (Blending.UNSTRUCTURED, Quality.MEDIUM),
-    "depth maps, net of triangles": (Blending.DELAUNAY, Quality.MEDIUM),
+    "depth maps, Delaunay mesh": (Blending.DELAUNAY, Quality.MEDIUM),
 }
 COST, FIT_GAIN = Cost.ROBUST, True
 # Poses of which the texel reads are counted; they differ little.
@@ -51,7 +51,7 @@ COUNTED_POSES = 20
 # Both powers of two.
 TEXTURE_SIDE, TEXTURE_LAYERS = 256, 32
 STEPS, LANES = 256, 64
-# By so many workgroups: a billion and more reads, some milliseconds of a fast card.
+# By so many workgroups: a billion and more reads, some milliseconds of a fast GPU.
 GROUPS = 256
 READER = """
 @group(0) @binding(0) var texels: texture_2d_array<u32>;
@@ -103,8 +103,8 @@ def work_of(scene: Scene, count: int) -> Work:
     return Work(scene, poses, intrinsics, query)
 
 
-def card_renderer(work: Work, gpu: "Gpu", way: Way = USUAL) -> "GpuRenderer":
-    """What localization makes of the scene, on the card."""
+def gpu_renderer(work: Work, gpu: "Gpu", way: Way = USUAL) -> "GpuRenderer":
+    """What localization makes of the scene, on the GPU."""
     from pipelines.render.gpu_renderer import GpuRenderer
 
     views = views_of_scene(work.scene, 4 * WIDTH)
@@ -134,7 +134,7 @@ def reads_per_particle(renderer: Renderer, work: Work) -> float:
 
 
 def texture_rate(gpu: "Gpu", groups: int) -> float:
-    """Texels a second that the card reads when it does nothing else; ``groups``^2 workgroups."""
+    """Texels a second that the GPU reads when it does nothing else; ``groups``^2 workgroups."""
     from pipelines.render.gpu_device import (
         Program,
         Scratch,
@@ -174,7 +174,7 @@ def texture_rate(gpu: "Gpu", groups: int) -> float:
         work.dispatch_workgroups(groups, groups)
         work.end()
         device.queue.submit([encoder.finish()])
-        # The card has finished when a number comes back.
+        # The GPU has finished when a number comes back.
         read_back(gpu, sums, 1)
 
     return 4 * STEPS * LANES * groups * groups / seconds(run)
@@ -186,34 +186,34 @@ def seconds(work: Callable[[], object]) -> float:
 
 
 def agreement(work: Work, gpu: "Gpu") -> dict[str, dict[str, float]]:
-    """Differences of costs between card and CPU, by rule and surface: median and largest."""
+    """Differences of costs between GPU and CPU, by rule and surface: median and largest."""
     result = {}
     deep = replace(work, scene=with_wall_as_depth(work.scene))
     count = min(AGREEMENT_PARTICLES, len(work.poses))
     for name, way in WAYS.items():
-        found = scored(card_renderer(deep, gpu, way), deep, count)
+        found = scored(gpu_renderer(deep, gpu, way), deep, count)
         difference = np.abs(found - scored(cpu_renderer(deep, way), deep, count))
         result[name] = {"median": float(np.median(difference)), "largest": float(difference.max())}
     return result
 
 
 def speed(
-    cpu: Renderer, card: "GpuRenderer", work: Work, counts: tuple[int, int, int], groups: int
+    cpu: Renderer, on_gpu: "GpuRenderer", work: Work, counts: tuple[int, int, int], groups: int
 ) -> dict[str, float]:
-    """Figures of a real card.
+    """Figures of a real GPU.
 
     Args:
         cpu: the CPU path, on all processors.
-        card: the same on the card.
+        on_gpu: the same on the GPU.
         work: with as many particles as the largest count.
         counts: particles of a frame, of the large batch, and of the CPU path.
         groups: of the yardstick, see ``texture_rate``.
     """
     frame, many, on_cpu = counts
-    frame_seconds = seconds(lambda: scored(card, work, frame))
-    many_seconds = seconds(lambda: scored(card, work, many))
+    frame_seconds = seconds(lambda: scored(on_gpu, work, frame))
+    many_seconds = seconds(lambda: scored(on_gpu, work, many))
     cpu_seconds = seconds(lambda: scored(cpu, work, on_cpu))
-    rate = texture_rate(card.gpu, groups)
+    rate = texture_rate(on_gpu.gpu, groups)
     needed = reads_per_particle(cpu, work) * many / many_seconds
     return {
         "frame_ms": 1e3 * frame_seconds,
@@ -226,7 +226,7 @@ def speed(
 
 
 def measure(scene: Scene) -> dict[str, Any]:
-    """The card's figures; of a software adapter only how well it agrees; why there are none."""
+    """The GPU's figures; of a software adapter only how well it agrees; why there are none."""
     try:
         gpu = chosen_gpu(Device.GPU)
     except LfnavError as error:
@@ -242,21 +242,21 @@ def measure(scene: Scene) -> dict[str, Any]:
         "differences": agreement(work, gpu),
     }
     if not gpu.is_software:
-        cpu, card = cpu_renderer(work), card_renderer(work, gpu)
-        figures |= speed(cpu, card, work, (FRAME, MANY, CPU_PARTICLES), GROUPS)
+        cpu, on_gpu = cpu_renderer(work), gpu_renderer(work, gpu)
+        figures |= speed(cpu, on_gpu, work, (FRAME, MANY, CPU_PARTICLES), GROUPS)
     return {"gpu": figures}
 
 
 def table(results: dict[str, Any]) -> str:
     """The figures for people."""
     if results["device"] is None:
-        return f"No graphics card was measured: {results['reason']}"
+        return f"No GPU was measured: {results['reason']}"
     rows = [
         (f"{name}: costs off the CPU's by", f"{of['median']:.0e}, at most {of['largest']:.0e}")
         for name, of in results["differences"].items()
     ]
     if results["is_software"]:
-        rows.append(("speed", "not measured: this is a software adapter, no card"))
+        rows.append(("speed", "not measured: this is a software adapter, no GPU"))
     else:
         rows += [
             (f"{FRAME} particles, upload and read-back included", f"{results['frame_ms']:.2f} ms"),

@@ -24,7 +24,7 @@ class OpenCvWork:
         photos: three images ``(h, w, C)`` float32; RGB, and zero where C is 4.
         homographies: ``(M, 3, 3, 3)`` from virtual pixels to pixels of each photo.
         weights: ``(M, 3, H, W, C)``, each weight once a channel.
-        query: ``(H, W, C)`` float32, likewise.
+        query: ``(H, W, C)`` float32, the camera image.
     """
 
     photos: tuple[Float32Array, ...]

@@ -9,7 +9,7 @@ from resource import RUSAGE_CHILDREN, getrusage
 from benchmarks.scenes import ROOT
 from benchmarks.timing import Timing
 
-# Where this is set Python compiles lfnav anew at every start, which takes 0.15 s and more.
+# Where this is set Python compiles lfnav again at every start, which takes 0.15 s and more.
 NO_BYTE_CODE = "PYTHONDONTWRITEBYTECODE"
 
 

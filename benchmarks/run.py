@@ -38,7 +38,7 @@ def measurements(workshop: Scene, lobby: Scene) -> dict[str, Callable[[], dict[s
         "depth maps": depth.measure,
         "cold start": lambda: cold_start.measure(lobby),
         "memory": lambda: memory.measure(workshop, lobby),
-        "graphics card": lambda: gpu.measure(workshop),
+        "GPU": lambda: gpu.measure(workshop),
     }
 
 

@@ -1,8 +1,9 @@
 """What a particle costs: size of the image, surface, threads, number of views and of particles.
 
-Particles stand around the robot's true place in a frame of the lobby's test drive, as they do while
-it is tracked, and are scored as the filter does by default: evidence of local contrast, one pixel
-in five, photos eight times as fine as the comparison. Beside that stands what all pixels cost.
+Particles stand around the robot's true place in a frame of the lobby's test sequence, as they do
+while it is tracked, and are scored as the filter does by default: evidence of local contrast, one
+pixel in five, photos eight times as fine as the comparison. Beside that stands what all pixels
+cost.
 """
 
 from dataclasses import replace
@@ -42,7 +43,7 @@ def states_around(count: int) -> FloatArray:
     """States ``(count, 3)`` around the true one of the frame."""
     dataset = load_dataset(ELEVATORS / "test")
     if dataset.groundtruth is None:
-        raise ValueError("the test drive has no ground truth")
+        raise ValueError("the test sequence has no ground truth")
     nearest = dataset.groundtruth.nearest(dataset.timestamps, 0.1)[FRAME]
     truth = PLANAR.states(dataset.groundtruth.poses[[nearest]])
     noise = SPREAD * np.random.default_rng(0).standard_normal((count, 3))
@@ -53,7 +54,7 @@ def observations() -> dict[int, Observation]:
     """The camera image of the frame, by width."""
     dataset = load_dataset(ELEVATORS / "test")
     if dataset.camera is None:
-        raise ValueError("the test drive has no camera")
+        raise ValueError("the test sequence has no camera")
     return dict(Observer(dataset.camera, WIDTHS)(dataset.read_image(FRAME)).by_width)
 
 

@@ -1,6 +1,6 @@
 """Whole frames of ``localize``: the search over the model's area, and tracking after it.
 
-Frames of the lobby's test drive go through ``Localizer.step`` with the default settings and the
+Frames of the lobby's test sequence go through ``Localizer.step`` with the default settings and the
 wheels' odometry, as in ``make demo``, on the CPU; once with the alignment that refines the
 estimate, once without it. Reading an image file is not part of it.
 """
@@ -20,7 +20,7 @@ from pipelines.localize.localizer import Localizer
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.render.devices import Device
 
-DRIVES = 3
+RUNS = 3
 SETTINGS = {
     "tracking": LocalizerSettings(refine_width=0, device=Device.CPU),
     "tracking_refined": LocalizerSettings(device=Device.CPU),
@@ -29,7 +29,7 @@ SETTINGS = {
 
 @dataclass(frozen=True)
 class Frame:
-    """One frame of a drive.
+    """One frame of a sequence.
 
     Attributes:
         status: what the filter called it.
@@ -45,9 +45,9 @@ class Frame:
 def drive(
     scene: Scene, dataset: Dataset, settings: LocalizerSettings, seed: int, most: int | None = None
 ) -> list[Frame]:
-    """Localizes the frames of a drive, at most so many."""
+    """Localizes the frames of a sequence, at most so many."""
     if dataset.camera is None or dataset.odometry is None:
-        raise ValueError("the drive has no camera or no odometry")
+        raise ValueError("the sequence has no camera or no odometry")
     space = settings.state_space
     rng = np.random.default_rng(seed)
     robot = Localizer(scene, dataset.camera, dataset.body_from_camera, settings, rng)
@@ -65,25 +65,25 @@ def drive(
 
 
 def measure(scene: Scene) -> dict[str, Any]:
-    """Frames a second and seconds of the search; medians over the frames of some drives."""
+    """Frames a second and seconds of the search; medians over the frames of some runs."""
     dataset = load_dataset(ELEVATORS / "test")
-    drives: dict[str, list[list[Frame]]] = {name: [] for name in SETTINGS}
+    runs: dict[str, list[list[Frame]]] = {name: [] for name in SETTINGS}
     for settings in SETTINGS.values():
         # Libraries are loaded, and what is made once.
         drive(scene, dataset, settings, 0, most=3)
-    for seed in range(DRIVES):
+    for seed in range(RUNS):
         for name, settings in SETTINGS.items():
-            drives[name].append(drive(scene, dataset, settings, seed))
-    everything = [each for drives_of_one in drives.values() for each in drives_of_one]
+            runs[name].append(drive(scene, dataset, settings, seed))
+    everything = [each for frames_of_runs in runs.values() for each in frames_of_runs]
     first = medians([each[0].time for each in everything])
-    tracked = {name: tracked_frames(each) for name, each in drives.items()}
+    tracked = {name: tracked_frames(each) for name, each in runs.items()}
     times = {name: medians([frame.time for frame in frames]) for name, frames in tracked.items()}
     return {
         "frames_per_second": {name: round(1.0 / value.wall, 1) for name, value in times.items()},
         "global_start_s": round(first.wall, 3),
         "global_start_cpu_s": round(first.cpu, 3),
         "localize": {
-            "drives": DRIVES,
+            "runs": RUNS,
             "frames_tracked": {name: len(frames) for name, frames in tracked.items()},
             "first_frame": first.to_dict(),
             "times": {name: value.to_dict() for name, value in times.items()},
@@ -102,9 +102,9 @@ def table(results: dict[str, Any]) -> str:
     return markdown_table(("a frame", "CPU (ms)", "wall (ms)", "frames a second"), rows)
 
 
-def tracked_frames(drives: list[list[Frame]]) -> list[Frame]:
+def tracked_frames(runs: list[list[Frame]]) -> list[Frame]:
     """The frames in which one mode was followed."""
-    return [frame for frames in drives for frame in frames[1:] if frame.status == "tracking"]
+    return [frame for frames in runs for frame in frames[1:] if frame.status == "tracking"]
 
 
 def _stages(frames: list[Frame]) -> dict[str, float]:

@@ -50,8 +50,8 @@ def particle_poses(scene: Scene, count: int) -> FloatArray:
     rng = np.random.default_rng(0)
     middle = scene.world_from_camera[:, :3, 3].mean(axis=0) - np.array([0.0, STEP_BACK, 0.0])
     forward = Rotation.from_euler("z", 90.0, degrees=True).as_matrix() @ BASE_FROM_FORWARD_CAMERA
-    turns = Rotation.from_rotvec(rng.normal(0.0, np.radians(1.0), (count, 3))).as_matrix()
-    return pose_from_rotation(turns @ forward, middle + rng.normal(0.0, 0.02, (count, 3)))
+    rotations = Rotation.from_rotvec(rng.normal(0.0, np.radians(1.0), (count, 3))).as_matrix()
+    return pose_from_rotation(rotations @ forward, middle + rng.normal(0.0, 0.02, (count, 3)))
 
 
 def work_of(scene: Scene, width: int, height: int, count: int) -> Work:
@@ -98,7 +98,7 @@ def homographies(work: Work, pose: FloatArray) -> FloatArray:
 
 
 def net_weights(work: Work, pose: FloatArray) -> Float32Array:
-    """``(3, H, W)``: the weight of each photo at each pixel by the Delaunay net, with sum 1."""
-    net = pixel_weights(work.views.centres, pose, work.intrinsics)
-    weights = [np.sum(net.weights * (net.views == view), axis=-1) for view in range(3)]
+    """``(3, H, W)``: the weight of each photo at each pixel by the Delaunay mesh, with sum 1."""
+    mesh = pixel_weights(work.views.centres, pose, work.intrinsics)
+    weights = [np.sum(mesh.weights * (mesh.views == view), axis=-1) for view in range(3)]
     return np.array(weights, dtype=np.float32)

@@ -306,7 +306,7 @@ def table_line(key: str, results: list[dict[str, Any]]) -> str:
 
 HEADING = (
     "| what | docked | other outcomes | falsely (> 5 cm) | true error, median / worst docked "
-    "| heading likewise | nearest | steps | seconds | time in robot / filter / rest |\n"
+    "| median / worst heading error | nearest | steps | seconds | time in robot / filter / rest |\n"
     "|---|---|---|---|---|---|---|---|---|---|"
 )
 

@@ -115,7 +115,7 @@ blending_option = click.option(
     type=click.Choice(["unstructured", "delaunay"]),
     default="unstructured",
     show_default=True,
-    help="How views are blended: by viewing angle, or by the paper's net of triangles.",
+    help="How views are blended: by viewing angle, or by the paper's Delaunay mesh.",
 )
 
 
@@ -123,8 +123,8 @@ device_option = click.option(
     "--device",
     type=click.Choice(["auto", "cpu", "gpu"]),
     default="cpu",
-    help="Where views are rendered: on the CPU (the default), on a graphics card, or (auto) on a "
-    'card where there is one. A card needs pip install "lfnav[gpu]".',
+    help="Where views are rendered: on the CPU (the default), on a GPU, or (auto) on a GPU where "
+    'there is one. A GPU needs pip install "lfnav[gpu]".',
 )
 quality_option = click.option(
     "--quality",

@@ -1,4 +1,4 @@
-"""``lfnav dock``: drives a robot to a place by what its camera sees."""
+"""``lfnav dock``: drives a robot to a goal pose by what its camera sees."""
 
 import math
 from pathlib import Path
@@ -58,20 +58,27 @@ def parse_fault(
 @click.option(
     "--robot",
     metavar="NAME",
-    help="model:SCENE.h5, sim:SCENE.xml, replay:DATASET, or your own as package.module:Class.",
+    help="Your robot as package.module:Class, or a simulated one: model:SCENE.h5, sim:SCENE.xml, "
+    "replay:DATASET.",
 )
+@click.option("--goal", metavar="X,Y,DEG", callback=parse_state, help="Goal pose: metres, degrees.")
 @click.option(
-    "--goal", metavar="X,Y,DEG", callback=parse_state, help="Where to dock: metres, degrees."
+    "--goal-view",
+    type=int,
+    metavar="INDEX",
+    help="Goal: where this photo of SCENE was taken, from 0.",
 )
-@click.option("--goal-view", type=int, metavar="INDEX", help="Where this photo of SCENE was taken.")
 @click.option(
     "--goal-image",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="From where the robot's camera sees this image.",
+    help="Goal: where the robot's camera sees this image.",
 )
 @click.option(
-    "-o", "--output", type=click.Path(path_type=Path), help="Run file to write; not for --dry-run."
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    help="Run file to write; not needed with --dry-run.",
 )
 @config_options
 @click.option(
@@ -86,28 +93,34 @@ def parse_fault(
     "--dry-run",
     "is_dry",
     is_flag=True,
-    help="Only look whether the robot is in order, and a goal to be seen; nothing moves.",
+    help="Check the robot's driver, and that the goal can be seen; nothing moves.",
 )
 @click.option(
     "--true-start",
     metavar="X,Y,DEG",
     callback=parse_state,
-    help="Simulated robots: where it really stands. Default: anywhere, by the seed.",
+    help="Simulated robots: true start pose. Default: random, by the seed.",
 )
 @click.option(
     "--camera",
     type=click.Path(path_type=Path),
     metavar="camera.toml",
-    help="Simulated robots: its camera and mount. Default: the scene's, --camera-width pixels.",
+    help="Simulated robots: camera and mount. Default: the scene's, --camera-width pixels wide.",
 )
-@click.option("--camera-width", type=int, default=240, show_default=True, help="Likewise.")
+@click.option(
+    "--camera-width",
+    type=int,
+    default=240,
+    show_default=True,
+    help="Simulated robots: width of the camera's images, without --camera.",
+)
 @click.option(
     "--motion-noise",
     metavar="SHARE,DEG",
     default="0.02,0.5",
     show_default=True,
     callback=parse_numbers(2, "SHARE,DEG"),
-    help="Simulated robots: random errors of odometry, of distance and of a step's turn.",
+    help="Simulated robots: random errors of odometry, a share of the distance and degrees a step.",
 )
 @click.option(
     "--motion-bias",
@@ -115,21 +128,23 @@ def parse_fault(
     default="0,0",
     show_default=True,
     callback=parse_numbers(2, "SHARE,DEG"),
-    help="Simulated robots: systematic errors of odometry, of distance and of turn a metre.",
+    help="Simulated robots: systematic errors of odometry, a share of the distance and degrees a "
+    "metre.",
 )
 @click.option(
     "--actuation-noise",
     type=float,
     default=0.02,
     show_default=True,
-    help="Simulated robots: random error of a movement, as a share of it.",
+    help="Simulated robots: random error of each movement, as a share of it.",
 )
 @click.option(
     "--slip",
     type=float,
     default=0.0,
     show_default=True,
-    help="Simulated robots: probability that the wheels turn half in vain in a step.",
+    help="Simulated robots: probability that the wheels slip in a step, which halves the movement "
+    "but not what odometry measures.",
 )
 @click.option(
     "--sensor-noise",
@@ -137,7 +152,8 @@ def parse_fault(
     default="2,0.05",
     show_default=True,
     callback=parse_numbers(2, "LEVELS,GAIN"),
-    help="Simulated robots: noise of each pixel in grey levels, share by which brightness wanders.",
+    help="Simulated robots: noise of each pixel in grey levels; largest random change of "
+    "an image's brightness, as a share.",
 )
 @click.option(
     "--samples", type=int, default=16, show_default=True, help="sim: paths traced for each pixel."
@@ -147,14 +163,15 @@ def parse_fault(
     type=click.Choice(["fastest", "llvm_ad_rgb", "scalar_rgb"]),
     default="fastest",
     show_default=True,
-    help="sim: of Mitsuba. llvm_ad_rgb needs the library LLVM; fastest: it, where it loads.",
+    help="sim: variant of Mitsuba. llvm_ad_rgb needs the library LLVM; fastest: that one where "
+    "LLVM loads, else scalar_rgb.",
 )
 @click.option(
     "--fault",
     metavar="KIND:STEP",
     callback=parse_fault,
-    help="Simulated robots: blocked, slipping, black, frozen, people, cover or driver from this "
-    "step on.",
+    help="Simulated robots: a fault from this step on; blocked, slipping, black, frozen, people, "
+    "cover or driver.",
 )
 @overwrite_option
 @json_option
@@ -190,7 +207,7 @@ def command(
 ) -> int:
     """Drives a robot to a goal in SCENE.h5 by what its camera sees, and writes the run.
 
-    The robot looks round until it knows where it is, goes to a staging pose behind the goal, and
+    The robot rotates until it is localized, drives to a staging pose behind the goal, and
     approaches in smaller and smaller steps. Exit codes: 0 docked, 10 lost, 11 blocked, 12 out of
     the allowed area, 13 timed out, 14 robot failed, 15 view blocked, 130 interrupted; the robot is
     stopped and the run is saved in every case.
@@ -200,8 +217,8 @@ def command(
 
     \b
     Example:
-      lfnav dock scene.h5 --robot my_robot:Robot --dry-run
-      lfnav dock scene.h5 --robot my_robot:Robot --goal -1.15,-1.65,90 -o dock.h5
+      lfnav dock scene.h5 --robot my_robot:MyRobot --goal -1.15,-1.65,90 --dry-run
+      lfnav dock scene.h5 --robot my_robot:MyRobot --goal -1.15,-1.65,90 -o dock.h5
       lfnav dock scene.h5 --robot sim:sample_data/elevators/scene/scene.xml --goal-view 3 -o dock.h5
     """
     from pipelines.dock.config import effective_settings, settings_text

@@ -35,12 +35,14 @@ if TYPE_CHECKING:
     help="SCENE: TUM file of their poses; default: the data set's ground truth.",
 )
 @click.option(
-    "--leave-one-out", is_flag=True, help="SCENE: render each view from all the others instead."
+    "--leave-one-out",
+    is_flag=True,
+    help="SCENE: compare each photo with its view rendered from all others.",
 )
 @click.option(
     "--interior",
     is_flag=True,
-    help="With --leave-one-out: only views that were taken amid the others, not at their border.",
+    help="With --leave-one-out: only photos taken in the interior of the camera positions.",
 )
 @click.option(
     "--quality",
@@ -67,9 +69,9 @@ def command(
     as_json: bool,
     progress: "Progress",
 ) -> None:
-    """Errors of a run, and those of odometry alone; or how well a scene model renders.
+    """Computes the errors of a run and of odometry alone, or how well a scene model renders.
 
-    A run succeeds when the errors' means over the last five frames are below 0.15 m and 3 degrees.
+    A run succeeds when its mean errors over the last five frames are below 0.15 m and 3 degrees.
     Ground truth and frames pair up by time; frames without ground truth do not count.
 
     A scene is judged by photos that it does not hold: PSNR (after one brightness factor), SSIM and

@@ -46,7 +46,7 @@ def command(
     as_json: bool,
     progress: "Progress",
 ) -> None:
-    """Write what FILE holds in another program's format.
+    """Writes a run or a scene model in another program's format.
 
     FILE is a run, of which the estimated trajectory is written, or with --format colmap a scene
     model, of which a COLMAP project is written: images/ and sparse/.

@@ -44,22 +44,24 @@ def known_kinds() -> list[str]:
     type=click.Choice(known_kinds()),
     default="auto",
     show_default=True,
-    help="What SOURCE is. auto: found out from what lies in it, and said.",
+    help="Format of SOURCE. auto: detected from its content and printed.",
 )
 @click.option(
     "--spacing",
     metavar="METRES",
     callback=parse_spacing,
-    help="grid: from one index to the next; X,Y where columns and rows differ, negative where "
-    "columns run to the left or rows run up.",
+    help="grid: distance from one index to the next; X,Y where columns and rows differ, negative "
+    "where columns run to the left or rows run up.",
 )
-@click.option("--focal", type=float, metavar="PX", help="grid, 7scenes, video: focal length.")
+@click.option(
+    "--focal", type=float, metavar="PX", help="grid, 7scenes, video: focal length, pixels."
+)
 @click.option("--fov", type=float, metavar="DEG", help="grid, video: horizontal field of view.")
 @click.option(
     "--focus",
     type=float,
     metavar="METRES",
-    help="grid: distance of the plane that lies still in all images; default: none does.",
+    help="grid: distance of the plane that stays at the same pixels in all images; default: none.",
 )
 @click.option(
     "--pattern",
@@ -74,29 +76,31 @@ def known_kinds() -> list[str]:
     "--scale",
     type=float,
     metavar="FACTOR",
-    help="colmap, nerfstudio: metres for one unit; 1 says that the source is metric.",
+    help="colmap, nerfstudio: metres per unit; 1 says that the source is metric.",
 )
 @click.option(
     "--upright",
     is_flag=True,
-    help="colmap, nerfstudio, 7scenes: turn the world so that the cameras stand upright in it, "
+    help="colmap, nerfstudio, 7scenes: rotate the world so that the cameras stand upright in it, "
     "the first at its origin.",
 )
-@click.option("--sequence", metavar="NN", help="kitti: which one, where SOURCE holds several.")
+@click.option("--sequence", metavar="NN", help="kitti: which sequence, where SOURCE holds several.")
 @click.option(
     "--camera",
     type=click.Choice(["image_0", "image_1", "image_2", "image_3"]),
-    help="kitti: which one; default image_2, the left colour camera, or else image_0.",
+    help="kitti: which camera; default image_2, the left colour camera, or else image_0.",
 )
 @click.option(
     "--camera-height",
     type=float,
     metavar="METRES",
-    help="kitti: of the camera above the road; default 1.65.",
+    help="kitti: height of the camera above the road; default 1.65.",
 )
-@click.option("--every", type=int, metavar="N", help="kitti, 7scenes, video: each N-th image.")
-@click.option("--fps", type=float, metavar="RATE", help="video: at most so many images a second.")
-@click.option("--max-frames", type=int, metavar="N", help="video: at most; default 1000.")
+@click.option(
+    "--every", type=int, metavar="N", help="kitti, 7scenes, video: take every N-th image."
+)
+@click.option("--fps", type=float, metavar="RATE", help="video: most images per second.")
+@click.option("--max-frames", type=int, metavar="N", help="video: most images; default 1000.")
 @click.option(
     "--image-format",
     type=click.Choice(["jpeg", "png"]),
@@ -133,7 +137,7 @@ def command(
     as_json: bool,
     progress: "Progress",
 ) -> None:
-    """Make a data set of SOURCE, a recording in another program's layout.
+    """Makes a data set of SOURCE, a recording in another program's format.
 
     Images are copied as they are. Where SOURCE has exact poses (grid, colmap, nerfstudio) the
     data set also holds a reconstruction, ready for 'lfnav model'. The next command is printed.
@@ -143,7 +147,7 @@ def command(
       lfnav import colmap_project/ -o place
       lfnav import video.mp4 -o place --fps 2
       lfnav import cards/ -o cards --spacing 0.01 --fov 40 --focus 2
-      lfnav import kitti/sequences/00 -o drive --every 5
+      lfnav import kitti/sequences/00 -o kitti00 --every 5
     """
     from pipelines.reconstruct.import_stage import ImportSettings, import_source
 

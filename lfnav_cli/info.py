@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 @json_option
 @common_options
 def command(path: Path, as_json: bool, progress: "Progress") -> None:
-    """Say what PATH contains: a data set, a reconstruction, a scene model or a run.
+    """Prints what PATH contains: a data set, a reconstruction, a scene model or a run.
 
     \b
     Example:

@@ -42,8 +42,8 @@ if TYPE_CHECKING:
     "--reconstruction",
     type=click.Path(path_type=Path),
     metavar="FOLDER",
-    help="With PnP: take the features' places from the points of the reconstruction that SCENE was "
-    "made from. Default: from the scene's depth maps or plane.",
+    help="With PnP: take landmarks from the points of the reconstruction that SCENE was made from. "
+    "Default: from the scene's depth maps or plane.",
 )
 @click.option("--seed", type=int, default=0, show_default=True, help="Random seed.")
 @overwrite_option
@@ -73,10 +73,10 @@ def command(
     \b
     Example:
       lfnav localize out/elevators.h5 sample_data/elevators/test -o out/run.h5 --seed 0
-      lfnav localize scene.h5 drive/ -o run.h5 --start 1.0,-2.5,90
-      lfnav localize scene.h5 drive/ -o run.h5 --method pnp
+      lfnav localize scene.h5 test/ -o run.h5 --start 1.0,-2.5,90
+      lfnav localize scene.h5 test/ -o run.h5 --method pnp
       lfnav localize --print-config --particles 500 > settings.toml
-      lfnav localize scene.h5 drive/ -o run.h5 --config settings.toml
+      lfnav localize scene.h5 test/ -o run.h5 --config settings.toml
     """
     from pipelines.localize.config import effective_settings, settings_text
 

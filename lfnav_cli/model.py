@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     type=click.Choice(["plane", "depth"]),
     default="plane",
     show_default=True,
-    help="What stands for the scene's surface.",
+    help="Surface of the scene: one plane, or depth maps.",
 )
 @click.option(
     "--depth",
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 @click.option(
     "--images",
     type=click.Path(path_type=Path),
-    help="Folder of the photos, where they have moved since the reconstruction.",
+    help="Folder of the photos, where they have been moved since the reconstruction.",
 )
 @click.option(
     "--max-views",

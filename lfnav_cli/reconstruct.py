@@ -20,25 +20,25 @@ if TYPE_CHECKING:
     "--method",
     type=click.Choice(["sfm", "odometry", "poses"]),
     required=True,
-    help="Structure from motion; integrated odometry; or a file of poses.",
+    help="sfm: structure from motion; odometry: the data set's odometry.txt; poses: --poses.",
 )
 @click.option(
     "--poses",
     type=click.Path(path_type=Path),
-    help="TUM file of world_from_body, for --method poses.",
+    help="TUM file of the body's poses in the world, for --method poses.",
 )
 @click.option(
     "--matcher",
     type=click.Choice(["auto", "sequential", "exhaustive"]),
     default="auto",
     show_default=True,
-    help="sfm: which images are compared. auto: all pairs up to 40 images, neighbours above.",
+    help="sfm: which images are matched. auto: all pairs up to 40 images, neighbours above.",
 )
 @click.option(
     "--scale",
     type=float,
     metavar="FACTOR",
-    help="sfm without odometry: metres for one unit of the model (find it with a first run).",
+    help="sfm without odometry: metres per unit of the model (measure it in a first run).",
 )
 @click.option("--seed", type=int, default=0, show_default=True, help="sfm: random seed.")
 @click.option(
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     metavar="N",
     default=4096,
     show_default=True,
-    help="sfm: features an image.",
+    help="sfm: features per image.",
 )
 @click.option(
     "--max-size",
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     metavar="PX",
     default=960,
     show_default=True,
-    help="sfm: longer side of the images in which features are sought.",
+    help="sfm: longer side of the images in which features are detected.",
 )
 @click.option(
     "--planar",
@@ -80,7 +80,7 @@ def command(
     as_json: bool,
     progress: "Progress",
 ) -> None:
-    """Camera poses of the images of DATASET, written as a reconstruction folder.
+    """Finds the camera poses of the images of DATASET and writes a reconstruction folder.
 
     With odometry the result is metric with z up, also by structure from motion. Without it the
     first camera is the origin, z points against the mean image-down direction, and x where the

@@ -34,17 +34,19 @@ if TYPE_CHECKING:
     "--pose",
     metavar="X,Y,HEADING_DEG",
     callback=parse_numbers(3, "X,Y,HEADING_DEG"),
-    help="Where the robot stands.",
+    help="Pose of the robot: metres, degrees.",
 )
 @click.option(
     "--poses",
     type=click.Path(path_type=Path),
     help="TUM file of robot poses (camera poses where the scene knows no mount).",
 )
-@click.option("--width", type=int, help="Pixels across. Default: as recorded.")
+@click.option("--width", type=int, help="Width of the views, pixels. Default: as recorded.")
 @blending_option
 @quality_option
-@click.option("--fps", type=float, default=10.0, show_default=True, help="Of a video.")
+@click.option(
+    "--fps", type=float, default=10.0, show_default=True, help="Frames per second of a video."
+)
 @device_option
 @overwrite_option
 @json_option
@@ -63,7 +65,7 @@ def command(
     as_json: bool,
     progress: "Progress",
 ) -> None:
-    """Renders virtual views of SCENE, each with a mask: white where any photo shows the pixel.
+    """Renders virtual views of SCENE, each with a mask: white where some photo shows the pixel.
 
     \b
     Example:

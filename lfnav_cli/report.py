@@ -35,7 +35,7 @@ def parse_frames(
     "--scene",
     metavar="SCENE.h5",
     type=click.Path(path_type=Path),
-    help="The scene model, where it is no longer where the run was made.",
+    help="The scene model, where it has been moved since the run was made.",
 )
 @click.option(
     "--frames",
@@ -46,7 +46,7 @@ def parse_frames(
 @click.option(
     "--estimate",
     metavar="NAME",
-    help="Which estimate to show: max_weight, mean, mode.  [default: the run's own choice]",
+    help="Estimate to show (lfnav info lists them).  [default: the run's own choice]",
 )
 @overwrite_option
 @json_option
@@ -61,7 +61,7 @@ def command(
     as_json: bool,
     progress: "Progress",
 ) -> None:
-    """Show how RUN.h5 went: report.html, and its figures as PNG and PDF.
+    """Writes a report of RUN.h5: report.html, and its figures as PNG and PDF.
 
     The page shows the place from above, the camera's pictures beside those that the scene model
     renders at the estimate and at odometry, errors where ground truth is known, and the time taken.

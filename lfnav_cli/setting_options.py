@@ -42,13 +42,13 @@ class SettingType(click.ParamType):  # type: ignore[type-arg]
 
 
 class SettingOption(click.Option):
-    """An option that also hears to the setting's former names, of which the help says nothing."""
+    """An option that is also understood by the setting's former names, which the help omits."""
 
     def __init__(self, entry: "Entry") -> None:
         self._former = [option_of(name) for name in entry.setting.former]
         about = f"{entry.setting.help[0].upper()}{entry.setting.help[1:]}"
         if entry.setting.unit:
-            about += f", {entry.setting.unit}"
+            about += f". Unit: {entry.setting.unit}"
         names = option_of(entry.name)
         if entry.is_flag:
             super().__init__(
@@ -78,12 +78,12 @@ config_file_option = click.option(
     "--config",
     metavar="FILE.toml",
     type=click.Path(path_type=Path),
-    help="Settings; options given here win over it, and it wins over the defaults.",
+    help="Settings file. Options win over it, and it wins over the defaults.",
 )
 print_config_option = click.option(
     "--print-config",
     is_flag=True,
-    help="Print all settings as a config file and end; needs no other arguments.",
+    help="Print all settings as a config file and exit; needs no other arguments.",
 )
 
 

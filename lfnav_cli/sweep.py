@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path),
     help="Folder to write; one of an earlier sweep is continued.",
 )
-@click.option("--seeds", metavar="A-B|N,N,...", help="Instead of the seeds in the config.")
+@click.option("--seeds", metavar="A-B|N,N,...", help="Seeds instead of those in the config.")
 @click.option(
     "--scheduler",
     metavar="ADDRESS",
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 @click.option(
     "--processes",
     type=int,
-    help="On this machine, with one thread each. Default: one a processor.",
+    help="Processes on this machine, with one thread each. Default: one per processor.",
 )
 @overwrite_option
 @json_option
@@ -51,15 +51,15 @@ def command(
     as_json: bool,
     progress: "Progress",
 ) -> None:
-    """Localize with many seeds and settings; write one table and figures.
+    """Localizes with many seeds and settings; writes one table and figures.
 
     CONFIG.toml names data sets with ground truth, seeds, and the settings to try. DIR gets
     table.csv, table.json, table.md and figures: success rates, errors, frames until converged,
-    seconds a frame.
+    seconds per frame.
 
-    Finished runs are kept in DIR/runs: after Ctrl-C the same command goes on where it
-    stopped, and with more seeds or settings it makes what is missing; with --overwrite everything
-    anew. A run that breaks is reported and does not stop the others.
+    Finished runs are kept in DIR/runs. After Ctrl-C the same command continues where it stopped,
+    and with more seeds or settings it computes the missing runs. --overwrite computes all of them
+    again. A run that fails is reported and does not stop the others.
 
     Every setting of a config file is an option of the same name, for all runs; those not listed
     here are explained in docs/settings.md.

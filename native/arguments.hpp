@@ -26,7 +26,7 @@ inline auto argument(const char* name) { return nanobind::arg(name).none(); }
 
 /// Throws nanobind::value_error with one line about an argument.
 [[noreturn]] void refuse_value(const char* name, const std::string& reason);
-/// Throws nanobind::type_error likewise.
+/// Throws nanobind::type_error with one line about an argument.
 [[noreturn]] void refuse_type(const char* name, const std::string& reason);
 
 /// The arguments of a call that has many of them, each given by its name.

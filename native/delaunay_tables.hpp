@@ -32,7 +32,7 @@ struct MeshedViews {
 
 /// Of each view the regions that have pixels.
 struct MeshTables {
-    /// Regions that there is room for.
+    /// Capacity: regions of each view at most.
     std::size_t most;
     /// (B, most, 3) photos of each region; -1: none.
     std::int32_t* photos;

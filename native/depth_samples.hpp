@@ -9,7 +9,7 @@
 namespace lfnav {
 
 /// Samples of some photos' depth maps, in batches of samples that are near each other, see
-/// pipelines/lightfield/depth_samples.py.
+/// pipelines/render/depth_samples.py.
 struct DepthSamples {
     /// Samples in a batch, and batches that are looked at together.
     static constexpr std::size_t BATCH = 64, BATCHES = 16;

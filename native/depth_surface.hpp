@@ -1,5 +1,5 @@
 // The surface that depth maps describe, as a virtual camera sees it: a grid of vertices, which is
-// made anew for each camera. The readable version is pipelines/render/surface.py.
+// recomputed for each camera. The readable version is pipelines/render/surface.py.
 
 #pragma once
 

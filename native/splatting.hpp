@@ -69,10 +69,10 @@ struct DepthProjection {
     }
 };
 
-/// Projects depth samples onto vertices; memory of it is used again.
+/// Projects depth samples onto vertices; its scratch buffers are reused.
 class Splatting {
   public:
-    /// Behind the vertices, what is outside of them goes to so many places by turns.
+    /// Behind the vertices, what is outside of them goes to so many places in rotation.
     static constexpr std::size_t ELSEWHERE = 16;
 
     /// @param vertices: (grid.count() + ELSEWHERE,) inverse depths, changed where a sample is

@@ -13,12 +13,12 @@
 
 namespace lfnav {
 
-/// Constants of the penalty, of which blending.py says what they are.
+/// Constants of the penalty, of which pipelines/render/blending.py says what they are.
 struct PenaltySettings {
     float resolution, border, smallest_margin, smallest;
 };
 
-/// Limits of the Delaunay mesh, of which net.py says what they are.
+/// Limits of the Delaunay mesh, of which pipelines/render/delaunay_mesh.py says what they are.
 struct MeshSettings {
     double flatness, coincident_pixels, coincident_share, smallest_area;
 
@@ -35,7 +35,7 @@ struct Grid {
     std::span<const std::int64_t> frustum_across, frustum_down;
 };
 
-/// How vertices with depths become a surface; proxy.py says what these are.
+/// How vertices with depths become a surface; pipelines/render/surface.py says what these are.
 struct DepthGridSettings {
     float pinhole_factor;
     std::int32_t pinhole_neighbours;

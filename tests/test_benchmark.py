@@ -264,25 +264,27 @@ def test_a_software_adapter_is_measured_for_agreement_alone(
     assert "software adapter" in gpu_benchmark.table(figures)
 
 
-def test_figures_of_a_card(scene: Scene, gpu: "Gpu", monkeypatch: pytest.MonkeyPatch) -> None:
-    """Their arithmetic; a software adapter takes the card's place."""
+def test_figures_of_a_gpu(scene: Scene, gpu: "Gpu", monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their arithmetic; a software adapter stands in for a GPU."""
     monkeypatch.setattr(gpu_benchmark, "seconds", lambda work: (work(), 0.5)[1])
     work = gpu_benchmark.work_of(scene, 8)
-    card = gpu_benchmark.card_renderer(work, gpu)
-    figures = gpu_benchmark.speed(gpu_benchmark.cpu_renderer(work), card, work, (2, 8, 4), groups=1)
+    on_gpu = gpu_benchmark.gpu_renderer(work, gpu)
+    figures = gpu_benchmark.speed(
+        gpu_benchmark.cpu_renderer(work), on_gpu, work, (2, 8, 4), groups=1
+    )
     assert figures["frame_ms"] == 500.0
     assert figures["particles_per_second"] == 16.0
     assert figures["times_cpu"] == pytest.approx(2.0)
     assert figures["texels_per_second"] == 2 * 4 * 256 * 64
-    needed = 16.0 * gpu_benchmark.reads_per_particle(card, work)
+    needed = 16.0 * gpu_benchmark.reads_per_particle(on_gpu, work)
     assert figures["share_of_texture_rate"] == pytest.approx(needed / (2 * 4 * 256 * 64))
     # Between one and all twelve views a pixel.
-    assert 4.0 < gpu_benchmark.reads_per_particle(card, work) / (40 * 30) < 4 * 12
-    shown = {"device": "card", "is_software": False, "size": "40x30", "differences": {}}
+    assert 4.0 < gpu_benchmark.reads_per_particle(on_gpu, work) / (40 * 30) < 4 * 12
+    shown = {"device": "GPU", "is_software": False, "size": "40x30", "differences": {}}
     assert "| 500.00 ms |" in gpu_benchmark.table({**shown, **figures})
 
 
-def test_without_a_card_the_table_says_why(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_gpu_the_table_says_why(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "wgpu", None)
     assert "pip install" in gpu_benchmark.table(gpu_benchmark.measure(scene)["gpu"])
 

@@ -50,7 +50,7 @@ class Setting:
         choices: all possible values of a text or whole number; empty: any.
         unset: the word that stands for None, which TOML lacks; "": it is never None.
         former: names that it had in earlier versions, all of which are still understood.
-        former_values: likewise, names that values had -> names that they have.
+        former_values: names that values had in earlier versions -> names that they have.
         is_common: whether the help of a command lists it.
         kind: of its values; None: as the type says.
     """

@@ -32,14 +32,14 @@ class DockSettings:
     drive: str = setting(
         "dock",
         "omni",
-        "omni: any direction at any time; diff: turns on the spot and arcs",
+        "omni: the robot moves in any direction; diff: it rotates on the spot and drives arcs",
         choices=DRIVES,
         is_common=True,
     )
     largest_step: float = setting(
         "dock",
         0.4,
-        "length of one movement at most",
+        "greatest length of one movement",
         unit="metres",
         limits=(0.01, 10.0),
         is_common=True,
@@ -47,7 +47,7 @@ class DockSettings:
     largest_turn: float = setting(
         "dock",
         math.radians(40.0),
-        "rotation of one movement at most",
+        "greatest rotation of one movement",
         unit=DEGREES,
         limits=(1.0, 180.0),
         former=("largest_turn",),
@@ -56,7 +56,7 @@ class DockSettings:
     robot_radius: float = setting(
         "dock",
         0.0,
-        "radius of the circle that the robot fills on the floor, for narrow places; 0: not known",
+        "radius of the circle that the robot fills on the floor, for narrow passages; 0: not known",
         unit="metres",
         limits=(0.0, 100.0),
         is_common=True,
@@ -64,7 +64,7 @@ class DockSettings:
     least_distance: float | None = setting(
         "dock",
         None,
-        f"distance of the robot's middle from the scene's surface at least; auto: robot_radius and "
+        f"least distance of the robot's centre from the scene's surface; auto: robot_radius plus "
         f"{MARGIN:g}, or {USUAL_DISTANCE:g} where no radius is given",
         unit="metres",
         limits=(0.0, 100.0),
@@ -74,42 +74,49 @@ class DockSettings:
     staging_distance: float = setting(
         "dock",
         0.8,
-        "the last approach begins so far straight behind the goal. Where the goal lies behind a "
-        "door: before the door",
+        "distance of the staging pose straight behind the goal; the last approach begins there. "
+        "Where the goal lies behind a door, the staging pose has to lie before it",
         unit="metres",
         limits=(0.1, 100.0),
         is_common=True,
     )
     max_steps: int = setting(
-        "dock", 120, "movements after which it gives up", limits=(1, 100_000), is_common=True
+        "dock",
+        120,
+        "movements after which docking is given up",
+        limits=(1, 100_000),
+        is_common=True,
     )
     max_seconds: float = setting(
         "dock",
         1800.0,
-        "time after which it gives up",
+        "time after which docking is given up",
         unit="seconds",
         limits=(0.1, 1e7),
         is_common=True,
     )
     max_search: int = setting(
-        "dock", 40, "steps of looking round after which it is lost", limits=(1, 100_000)
+        "dock", 40, "steps of a search after which the robot is lost", limits=(1, 100_000)
     )
     patience: float = setting(
         "dock",
         10.0,
-        "it stands still so long when somebody covers the view; simulated robots, which have no "
-        "clock, take as many images",
+        "how long the robot stands still and takes images when something covers the view; a "
+        "simulated robot, which has no clock, takes as many images without waiting",
         unit="seconds",
         limits=(0.0, 1e5),
         is_common=True,
     )
     max_attempts: int = setting(
-        "dock", 4, "so often it returns to the staging pose before it gives up", limits=(1, 1000)
+        "dock",
+        4,
+        "approaches from the staging pose after which docking is given up",
+        limits=(1, 1000),
     )
     position_tolerance: float = setting(
         "dock",
         0.01,
-        "distance from the goal, by the estimate, at which it is docked",
+        "greatest distance of the estimate from the goal at which the robot is docked",
         unit="metres",
         limits=(1e-4, 10.0),
         is_common=True,
@@ -117,7 +124,7 @@ class DockSettings:
     heading_tolerance: float = setting(
         "dock",
         math.radians(0.4),
-        "heading from the goal's, by the estimate, at which it is docked",
+        "greatest heading error of the estimate at which the robot is docked",
         unit=DEGREES,
         limits=(0.005, 180.0),
         former=("heading_tolerance",),
@@ -126,14 +133,14 @@ class DockSettings:
     position_bound: float = setting(
         "dock",
         0.1,
-        "two standard deviations and the distance to the goal together have to be below",
+        "docked only where the distance to the goal plus two standard deviations is below this",
         unit="metres",
         limits=(1e-4, 10.0),
     )
     heading_bound: float = setting(
         "dock",
         math.radians(4.0),
-        "two standard deviations and the heading from the goal's together have to be below",
+        "docked only where the heading error plus two standard deviations is below this",
         unit=DEGREES,
         limits=(0.005, 180.0),
     )

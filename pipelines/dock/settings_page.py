@@ -19,8 +19,8 @@ a key of the config file, `--fine-width` an option, and `fine_width` an attribut
 whose names end in `_deg`, are degrees. In Python they are radians, and the name ends before `_deg`.
 
 ```
-lfnav localize --print-config > settings.toml      # all with their defaults; likewise lfnav dock
-lfnav localize scene.h5 drive -o run.h5 --config settings.toml --particles 500
+lfnav localize --print-config > settings.toml      # all with their defaults
+lfnav localize scene.h5 test -o run.h5 --config settings.toml --particles 500
 ```
 
 Options win over the file, and the file over the defaults. A file may hold any part of the settings.
@@ -28,10 +28,10 @@ Options win over the file, and the file over the defaults. A file may hold any p
 ignores `[dock]`. The table `[sweep]` of a sweep may vary `method`, `strategy`, `proposal`, `cost`,
 `pixel_subsampling` and `particles` ([experiments](../experiments/README.md)).
 
-The strategy `condensation`, the paper's filter, has other defaults: `cost` squared, of all pixels,
-`resampling` multinomial, `estimate` max_weight. Another `cost` brings its own
-`inverse_temperature`, `fit_gain`, `pixel_subsampling` and `channels`, where they are not given with
-it. The option `--fine-width` takes `coarse_width` and `refine_width` along where it has to.
+The strategy `condensation`, the paper's filter, has other defaults: `cost` squared,
+`pixel_subsampling` 1, `resampling` multinomial, `estimate` max_weight. Each `cost` has its own
+defaults of `inverse_temperature`, `fit_gain`, `pixel_subsampling` and `channels`. The option
+`--fine-width` lowers `coarse_width` and raises `refine_width` where they would not fit to it.
 
 [localization.md](localization.md) explains what the settings of the filter do,
 [docking.md](docking.md) those of `[dock]`. This page is written by `make docs-settings` from the

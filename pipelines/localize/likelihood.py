@@ -35,28 +35,30 @@ class Likelihood:
         "likelihood",
         MISSING,
         "how images are compared: evidence (local contrast, against an image that does not show "
-        "the map); squared, as in the paper, with condensation",
+        "the map) or a difference; the default with condensation is squared, as in the paper",
         former=("likelihood",),
         is_common=True,
     )
     inverse_temperature: float = setting(
         "likelihood",
         MISSING,
-        "log-likelihood lost for a unit of cost; another cost brings its own",
+        "log-likelihood lost per unit of cost; each cost has its own default",
         limits=(1e-9, 1e9),
         former=("sharpness",),
     )
     fit_gain: bool = setting(
-        "likelihood", True, "fit a brightness factor before the comparison; not with evidence"
+        "likelihood",
+        True,
+        "fit a brightness factor before the comparison; not possible with evidence",
     )
     pixel_subsampling: int = setting(
         "likelihood",
         1,
-        "one in so many pixels is compared",
+        "one in so many pixels is compared; 1: all",
         choices=(1, 2, 3, 5),
         former=("one_pixel_in",),
     )
-    channels: Channels = setting("likelihood", Channels.COLOUR, "what of the images is compared")
+    channels: Channels = setting("likelihood", Channels.COLOUR, "image channels that are compared")
 
     def __post_init__(self) -> None:
         check_settings(self)

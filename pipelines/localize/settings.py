@@ -54,16 +54,20 @@ class MotionModel:
     """
 
     alpha1: float = setting(
-        "motion", 0.04, "heading noise from turning", unit="rad^2 a rad^2", limits=(0.0, LONGEST)
+        "motion", 0.04, "heading noise from rotation", unit="rad^2 per rad^2", limits=(0.0, LONGEST)
     )
     alpha2: float = setting(
-        "motion", 0.02, "heading noise from driving", unit="rad^2 a m^2", limits=(0.0, LONGEST)
+        "motion",
+        0.02,
+        "heading noise from translation",
+        unit="rad^2 per m^2",
+        limits=(0.0, LONGEST),
     )
     alpha3: float = setting(
-        "motion", 0.04, "position noise from driving", unit="m^2 a m^2", limits=(0.0, LONGEST)
+        "motion", 0.04, "position noise from translation", unit="m^2 per m^2", limits=(0.0, LONGEST)
     )
     alpha4: float = setting(
-        "motion", 0.01, "position noise from turning", unit="m^2 a rad^2", limits=(0.0, LONGEST)
+        "motion", 0.01, "position noise from rotation", unit="m^2 per rad^2", limits=(0.0, LONGEST)
     )
     position_floor: float = setting(
         "motion",
@@ -137,21 +141,20 @@ class LocalizerSettings:
     method: str = setting(
         "filter",
         "filter",
-        "filter, or pnp: each image for itself, by SIFT features and their places in the map",
+        "filter: the particle filter; pnp: each image by itself, from SIFT features and landmarks",
         choices=METHODS,
         is_common=True,
     )
     with_pnp: bool = setting(
         "filter",
         False,
-        "beside the filter, note the pose by features too, to compare",
+        "beside the filter, also estimate each pose from features (PnP), for comparison",
         is_common=True,
     )
     proposal: str = setting(
         "filter",
         "retrieval",
-        "where the strategy mixture looks for the robot: where the scene looks like the image "
-        "(retrieval), where its features say (pnp), or both",
+        "what proposes poses to the strategy mixture: image retrieval, features (pnp), or both",
         choices=PROPOSALS,
         former_values={"appearance": "retrieval"},
         is_common=True,
@@ -159,8 +162,8 @@ class LocalizerSettings:
     strategy: str = setting(
         "filter",
         "mixture",
-        "mixture: mixture-proposal MCL, the image says where to look; coarse_to_fine: many "
-        "particles on small images first; condensation: the paper's filter, step by step",
+        "mixture: mixture-proposal MCL, the image proposes poses; coarse_to_fine: many particles "
+        "on small images first; condensation: the paper's filter",
         choices=STRATEGIES,
         former_values={"informed": "mixture"},
         is_common=True,
@@ -179,8 +182,8 @@ class LocalizerSettings:
     start_particles: int | None = setting(
         "filter",
         None,
-        "hypotheses that a search begins with; auto: 6000 (mixture: places that are compared), "
-        "20000 (coarse_to_fine), 195 (condensation), or as many as particles",
+        "hypotheses that a search begins with; auto: 6000 (mixture: places of image retrieval), "
+        "20000 (coarse_to_fine), 195 (condensation), at least as many as particles",
         limits=(1, MAX_PARTICLES),
         unset="auto",
         is_common=True,
@@ -188,7 +191,7 @@ class LocalizerSettings:
     resampling: str = setting(
         "filter",
         "systematic",
-        "resampling scheme; multinomial with condensation, as in the paper",
+        "resampling scheme; the default with condensation is multinomial, as in the paper",
         choices=RESAMPLING_SCHEMES,
         is_common=True,
     )
@@ -202,26 +205,26 @@ class LocalizerSettings:
     smallest_effective_share: float = setting(
         "filter",
         0.1,
-        "share of effective particles that an image leaves at least (coarse_to_fine)",
+        "least effective sample size after an image, as a share of the particles (coarse_to_fine)",
         limits=(0.0, 0.5),
     )
     shrink_factor: float = setting(
         "filter",
         0.6,
-        "fewest particles that remain from one frame to the next, a share",
+        "share of the particles that remains at least from one frame to the next",
         limits=(0.0, 1.0),
     )
     roughening: float = setting(
         "filter",
         1.0,
-        "how far copies of a particle are spread, a factor (coarse_to_fine)",
+        "factor on the noise that spreads copies of a particle (coarse_to_fine)",
         limits=(0.0, 10.0),
     )
     start: tuple[float, ...] | None = setting(
         "start",
         None,
-        "pose to start around: x, y, heading, or x, y, z and the rotation vector, in metres and "
-        "degrees; anywhere: in the whole area",
+        "start pose: x, y, heading, or x, y, z and the rotation vector, in metres and degrees; "
+        "anywhere: search the whole area",
         unset="anywhere",
         former=("init", "pose"),
         former_values={"uniform": "anywhere"},
@@ -247,7 +250,7 @@ class LocalizerSettings:
     area: tuple[float, float, float, float] | None = setting(
         "start",
         None,
-        "where the robot may be: x_min, x_max, y_min, y_max, metres; scene: what the model covers",
+        "where the robot may be: x_min, x_max, y_min, y_max, metres; scene: where the model covers",
         unset="scene",
         kind=AREA,
         is_common=True,
@@ -257,14 +260,14 @@ class LocalizerSettings:
     blending: Blending = setting(
         "rendering",
         Blending.UNSTRUCTURED,
-        "how views are blended: by viewing angle (unstructured), or by the paper's mesh of "
-        "triangles (delaunay)",
+        "how views are blended: by viewing angle (unstructured), or by the paper's Delaunay mesh "
+        "(delaunay)",
         is_common=True,
     )
     quality: str | None = setting(
         "rendering",
         None,
-        "how finely the surface follows the depth maps; auto: medium, plane without them",
+        "how finely the surface follows the depth maps; auto: medium, or plane without depth maps",
         choices=tuple(quality.name.lower() for quality in Quality),
         unset="auto",
         is_common=True,
@@ -272,14 +275,14 @@ class LocalizerSettings:
     coarse_width: int = setting(
         "rendering",
         20,
-        "width of compared images while searching",
+        "width of the images compared while searching",
         unit="pixels",
         limits=(4, MAX_WIDTH),
     )
     fine_width: int = setting(
         "rendering",
         40,
-        "width of compared images while tracking",
+        "width of the images compared while tracking",
         unit="pixels",
         limits=(4, MAX_WIDTH),
         former=("width",),
@@ -288,7 +291,7 @@ class LocalizerSettings:
     refine_width: int = setting(
         "rendering",
         160,
-        "width of images in the last step of the alignment; 0: no refined estimate",
+        "width of the images in the last step of the alignment; 0: no refined estimate",
         unit="pixels",
         limits=(0, MAX_WIDTH),
         is_common=True,
@@ -296,7 +299,7 @@ class LocalizerSettings:
     threads: int | None = setting(
         "rendering",
         None,
-        "threads of the comparison; changes no result",
+        "threads that render and compare; no effect on results",
         limits=(1, MAX_THREADS),
         unset="all",
         is_common=True,
@@ -311,8 +314,8 @@ class LocalizerSettings:
     estimate: str = setting(
         "estimate",
         "refined",
-        "the estimate that stands for the run: refined is aligned with the image; max_weight with "
-        "condensation, as in the paper",
+        "estimate that stands for the run: refined is aligned with the image; the default with "
+        "condensation is max_weight, as in the paper",
         choices=ESTIMATES,
         former=("kind",),
         is_common=True,
@@ -320,14 +323,14 @@ class LocalizerSettings:
     map_position_sigma: float = setting(
         "estimate",
         0.01,
-        "how accurate the positions of the map are, a standard deviation",
+        "standard deviation of the map's positions",
         unit="metres",
         limits=(0.0, LONGEST),
     )
     map_heading_sigma: float = setting(
         "estimate",
         math.radians(0.25),
-        "how accurate the headings of the map are, a standard deviation",
+        "standard deviation of the map's headings",
         unit=DEGREES,
         limits=(0.0, 180.0),
     )

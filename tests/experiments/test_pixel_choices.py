@@ -1,4 +1,4 @@
-"""Ways to choose pixels: each is right on average, and lattices are the most exact."""
+"""Ways to choose pixels: each is right on average, and even subsets are the most exact."""
 
 from pathlib import Path
 
@@ -54,7 +54,7 @@ def test_with_all_pixels_it_is_the_cost_of_the_filter() -> None:
     )
 
 
-def test_lattices_are_more_exact_than_chance() -> None:
+def test_even_subsets_are_more_exact_than_chance() -> None:
     drive = load_dataset(ROOT / "sample_data" / "workshop" / "test")
     generator = np.random.default_rng(0)
     errors, spread = errors_of_choices(workshop_scene(), drive, generator, every_frame=10)

@@ -154,7 +154,7 @@ TRUTH = facing_wall(-0.4, 1.7, 0.15)
 
 
 def test_a_fifth_of_the_pixels_says_the_same_on_average() -> None:
-    """Over the turns of all lattices: each pixel has one."""
+    """Over all shifts of the pattern: each pixel has one."""
     camera = CAMERA.intrinsics
     poses = PLANAR.poses(TRUTH + np.array([[0.0, 0.0, 0.0], [0.1, -0.1, 0.03]])) @ MOUNT
     image = photo(TRUTH).astype(np.float32)

@@ -144,7 +144,7 @@ def test_pixels_that_do_not_show_the_scene_do_not_count(model: MeasurementModel)
 
 
 def test_one_pixel_in_five_is_unbiased() -> None:
-    """Over the turns of all lattices the mean is what the whole image says."""
+    """Over all shifts of the pattern the mean is what the whole image says."""
     chosen = mixture_settings(fine_width=48, refine_width=48)
     fine = MeasurementModel.of_scene(wall_scene(), MOUNT, chosen)
     observation = Observer(CAMERA, [48])(photo(TRUTH)).by_width[48]

@@ -216,7 +216,7 @@ def test_threads_and_company_do_not_change_a_cost() -> None:
 
 
 def test_one_pixel_in_five_says_a_fifth_on_average() -> None:
-    """Over the turns of all lattices each pixel has one: the parts add up to the whole."""
+    """Over all shifts of the pattern each pixel is compared once: the parts add up to the whole."""
     renderer, poses, query, evidence = some_work()
     camera = RESOLUTIONS[0]
     whole = renderer.costs(poses, camera, query, Cost.EVIDENCE, False, evidence)

@@ -1,6 +1,6 @@
 """Compares rules of pixel subsampling for weighing particles.
 
-Usage: lattices.py SCENE DATASET [--seed N]
+Usage: pixel_choices.py SCENE DATASET [--seed N]
 
 Prints the errors of log-likelihoods by some of the pixels against those by all, as a Markdown
 table; see docs/performance.md.
@@ -33,7 +33,7 @@ def main(arguments: Sequence[str]) -> int:
             np.random.default_rng(options.seed),
         )
     except LfnavError as error:
-        print(f"lattices.py: {error}", file=sys.stderr)
+        print(f"pixel_choices.py: {error}", file=sys.stderr)
         return 1
     print("| pixels | error of the log-likelihood |")
     print("|---|---:|")
