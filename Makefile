@@ -42,7 +42,7 @@ help:
 	@echo "make test         the test suite; 'make test-slow' runs the slow tests"
 	@echo "make lint         ruff, mypy, clang-format and clang-tidy"
 	@echo "make wheel        a wheel for this machine -> dist/, tried in an empty environment"
-	@echo "make bench        measures particles, frames, views, starting, memory, the graphics card"
+	@echo "make bench        measures particles, frames, views, starting, memory, the GPU"
 	@echo "make bench-against REVISION=...  particles, views, alignments, depth maps beside an older revision"
 	@echo "make docs-settings  docs/settings.md from the definitions of the settings"
 	@echo "make clean        removes out/ and caches; $(VENV) stays"
