@@ -1,5 +1,6 @@
 // The Delaunay mesh of recording centres in a virtual image, and the blending weights that it gives
-// (Heigl, Denzler, Niemann 2001, section 2). The readable version is pipelines/render/delaunay_mesh.py.
+// (Heigl, Denzler, Niemann 2001, section 2). The readable version is
+// pipelines/render/delaunay_mesh.py.
 //
 // Its regions are the triangles; beyond an outer edge a strip, in which that edge's two photos are
 // blended; beyond an outer corner a wedge, which its photo has alone. Where all centres are in a
