@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.scenes import with_wall_as_depth
 from benchmarks.timing import markdown_table, median_times
 from pipelines.artifacts.arrays import FloatArray, ImageArray
-from pipelines.artifacts.errors import LfnavError
+from pipelines.artifacts.errors import LfnavError, StageError
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.plane import plane_inverse_depth
 from pipelines.lightfield.scene import Scene
@@ -124,6 +124,8 @@ def scored(renderer: Renderer, work: Work, count: int) -> FloatArray:
 def reads_per_particle(renderer: Renderer, work: Work) -> float:
     """Texels that one particle needs on average: four for each view that a pixel blends."""
     count = 0
+    if renderer.plane is None:
+        raise StageError("the benchmark counts reads over a plane, and the scene has none")
     usable = renderer.plane.signed_distance(renderer.views.centres) > 0.0
     for pose in work.poses[:COUNTED_POSES]:
         surface = plane_inverse_depth(renderer.plane, pose, work.intrinsics)

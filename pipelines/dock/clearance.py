@@ -30,21 +30,17 @@ class Clearance:
     """
 
     def __init__(self, scene: Scene, camera_height: float) -> None:
-        self._plane = scene.plane
+        self._plane = scene.plane_if_any
         self._scene = scene
         self._height = camera_height
         points = obstacle_points(scene, camera_height + TOP_ABOVE_CAMERA)
         self._obstacles = None if points is None else scipy.spatial.cKDTree(points)
 
-    @property
-    def _is_wall(self) -> bool:
-        return abs(float(self._plane.normal[2])) < LARGEST_TILT
-
     def distance(self, state: FloatArray) -> float:
         """Metres from a state ``(3,)`` to the surface; negative behind a plane."""
         if self._obstacles is not None:
             return float(self._obstacles.query(state[:2])[0])
-        if not self._is_wall:
+        if self._plane is None or abs(float(self._plane.normal[2])) >= LARGEST_TILT:
             return float("inf")
         return _wall_distance(self._plane, state, self._height)
 

@@ -133,7 +133,7 @@ def equipment_of(
     chosen = filter_settings
     x_min, x_max, y_min, y_max = chosen.area or map(float, scene.bounds)
     clearance = Clearance(scene, float(robot.base_from_camera[2, 3]))
-    safety = Safety((x_min, x_max, y_min, y_max), clearance, settings.distance_kept)
+    safety = Safety((x_min, x_max, y_min, y_max), clearance, settings.distance_kept, scene.ground)
     safety.check_goal(goal)
     renderer = renderer_of_scene(
         scene,

@@ -10,6 +10,7 @@ from pipelines.artifacts.errors import OptionError
 from pipelines.dock.clearance import Clearance
 from pipelines.dock.planar_motion import moved, position_sigma
 from pipelines.dock.robot import STANDSTILL, Movement
+from pipelines.lightfield.free_ground import FreeGround
 
 # Uncertainty of the position counts with this many standard deviations.
 SIGMAS = 2.0
@@ -30,11 +31,13 @@ class Safety:
         area: x_min, x_max, y_min, y_max that the robot must not leave, metres.
         clearance: measures distances from the scene's surface.
         least_distance: distance to keep from the surface, metres.
+        ground: the free ground, which it must not leave either; None: all of the area.
     """
 
     area: tuple[float, float, float, float]
     clearance: Clearance
     least_distance: float
+    ground: FreeGround | None = None
 
     def check_goal(self, goal: FloatArray) -> None:
         """Makes sure that a goal ``(3,)`` is a place where the robot can be.
@@ -48,6 +51,7 @@ class Safety:
             raise OptionError(
                 f"{place} lies outside of the allowed area, x {x_min:.2f} to {x_max:.2f} m, "
                 f"y {y_min:.2f} to {y_max:.2f} m"
+                + ("" if self.ground is None else ", or of its free ground")
             )
         if self.clearance.is_inside(goal):
             raise OptionError(f"{place} lies inside the scene's surface or behind it")
@@ -59,10 +63,11 @@ class Safety:
             )
 
     def outside_by(self, state: FloatArray) -> float:
-        """Metres by which a state ``(3,)`` lies outside of the area; 0 inside."""
+        """Metres by which a state ``(3,)`` lies outside of the area or free ground; 0 inside."""
         x_min, x_max, y_min, y_max = self.area
         x, y = float(state[0]), float(state[1])
-        return math.hypot(max(x_min - x, 0.0, x - x_max), max(y_min - y, 0.0, y - y_max))
+        outside = math.hypot(max(x_min - x, 0.0, x - x_max), max(y_min - y, 0.0, y - y_max))
+        return outside if self.ground is None else max(outside, self.ground.distance(state[:2]))
 
     def is_allowed(self, state: FloatArray, allowance: float = 0.0) -> bool:
         """Whether the robot may stand at a state.

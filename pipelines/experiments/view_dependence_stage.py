@@ -53,12 +53,14 @@ def study_view_dependence(
 
     Raises:
         InputError: a file cannot be read, or the output not be written.
-        StageError: the scene has no depth maps, or no photo shows the parts.
+        StageError: the scene has no depth maps or no plane, or no photo shows the parts.
     """
     parts = read_flat_parts(parts_path)
     scene = load_scene(scene_path)
     if not scene.depth:
         raise StageError(f"{scene_path} has no depth maps; make it with --geometry depth")
+    if scene.surface is None:
+        raise StageError(f"{scene_path} has no plane to compare with; make it with --plane a,b,c,d")
     frames = load_dataset(dataset)
     with atomic_folder(output, overwrite, TABLE) as folder:
         views = views_of_scene(scene, progress=progress)

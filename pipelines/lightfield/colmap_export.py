@@ -78,7 +78,7 @@ def export_scene_to_colmap(scene_path: Path, output: Path, overwrite: bool) -> C
             "format": FORMAT,
             "schema_version": 1,
             "scene": scene.identifier,
-            "plane": scene.plane.coefficients().tolist(),
+            "plane": None if scene.surface is None else scene.plane.coefficients().tolist(),
             "scale_source": scene.scale_source,
         }
         text = json.dumps(record, indent=2, allow_nan=False) + "\n"

@@ -25,12 +25,17 @@ from pipelines.artifacts.stages import Progress
 from pipelines.dataset.dataset import DEPTH_LIST, load_dataset
 from pipelines.dataset.images import decode_depth, read_image_bytes
 from pipelines.geometry.camera import Intrinsics, Undistorter
-from pipelines.geometry.plane import Plane, plane_inverse_depth
+from pipelines.geometry.plane import plane_inverse_depth
 from pipelines.lightfield.depth_filtering import refine_depth_maps
 from pipelines.lightfield.scene import SceneDepth
 from pipelines.lightfield.scene_file import as_stored
 from pipelines.lightfield.stereo_depth import DepthMap, DepthSettings, estimate_depth
-from pipelines.lightfield.stereo_neighbours import choose_neighbours, depth_range
+from pipelines.lightfield.stereo_neighbours import (
+    StandIn,
+    UsualDepths,
+    choose_neighbours,
+    depth_range,
+)
 from pipelines.lightfield.views import shrink, shrunk_size
 from pipelines.reconstruct.reconstruction import Reconstruction
 
@@ -44,7 +49,7 @@ def depth_from_photos(
     source: Reconstruction,
     photos: Sequence[ImageArray],
     intrinsics: Sequence[Intrinsics],
-    plane: Plane,
+    stand_in: StandIn,
     settings: DepthSettings,
     finished: Path | None,
     progress: Progress,
@@ -55,7 +60,7 @@ def depth_from_photos(
         source: poses, sparse points, hashes of the photos.
         photos: undistorted, ``(h, w, 3)`` RGB.
         intrinsics: of each.
-        plane: gives the depth range of views with too few sparse points.
+        stand_in: gives the depth range of views with too few sparse points.
         settings: of the plane sweep, the matching and the fusion.
         finished: folder for finished views; None keeps nothing.
         progress: told how far the work is.
@@ -65,9 +70,9 @@ def depth_from_photos(
     """
     poses = source.world_from_camera
     neighbours = choose_neighbours(
-        poses, intrinsics, plane, source.points, source.observations, settings.neighbours
+        poses, intrinsics, stand_in, source.points, source.observations, settings.neighbours
     )
-    folder = None if finished is None else finished / _key(source, plane, settings)
+    folder = None if finished is None else finished / _key(source, stand_in, settings)
 
     def one(view: int) -> DepthMap:
         stored = None if folder is None else _load(folder, view)
@@ -76,12 +81,12 @@ def depth_from_photos(
             return DepthMap(stored.inverse_depth, stored.confident, pinhole)
         if len(neighbours[view]) == 0:
             _log.warning(
-                "%s sees nothing that another photo sees; its depth is that of the plane",
+                "%s sees nothing that another photo sees; its depth is a guess",
                 source.image_names[view],
             )
-            return _plane_depth(poses[view], intrinsics[view], plane, settings)
+            return _guessed_depth(poses[view], intrinsics[view], stand_in, settings)
         limits = depth_range(
-            view, poses, intrinsics[view], plane, source.points, source.observations
+            view, poses, intrinsics[view], stand_in, source.points, source.observations
         )
         result = estimate_depth(photos, intrinsics, poses, view, neighbours[view], limits, settings)
         if folder is not None:
@@ -95,13 +100,19 @@ def depth_from_photos(
     return tuple(as_stored(depth.inverse_depth, depth.confident) for depth in refined)
 
 
-def _plane_depth(
-    world_from_camera: FloatArray, intrinsics: Intrinsics, plane: Plane, settings: DepthSettings
+def _guessed_depth(
+    world_from_camera: FloatArray,
+    intrinsics: Intrinsics,
+    stand_in: StandIn,
+    settings: DepthSettings,
 ) -> DepthMap:
-    """The plane's depth, nowhere confident; its farthest depth where the plane is not seen."""
+    """The stand-in's depth, nowhere confident; its farthest depth where a plane is not seen."""
     size = shrunk_size(intrinsics.width, intrinsics.height, settings.largest_side)
     pinhole = intrinsics.resized(*size)
-    inverse = plane_inverse_depth(plane, world_from_camera, pinhole)
+    if isinstance(stand_in, UsualDepths):
+        inverse = np.full((pinhole.height, pinhole.width), 1.0 / stand_in.typical)
+    else:
+        inverse = plane_inverse_depth(stand_in, world_from_camera, pinhole)
     farthest = inverse[inverse > 0.0].min() if np.any(inverse > 0.0) else 0.1
     everywhere: Float32Array = np.where(inverse > 0.0, inverse, farthest).astype(np.float32)
     return DepthMap(everywhere, np.zeros(everywhere.shape, dtype=np.bool_), pinhole)
@@ -112,12 +123,15 @@ def discard_finished(finished: Path) -> None:
     shutil.rmtree(finished, ignore_errors=True)
 
 
-def _key(source: Reconstruction, plane: Plane, settings: DepthSettings) -> str:
+def _key(source: Reconstruction, stand_in: StandIn, settings: DepthSettings) -> str:
     """Name that changes with anything that the depth maps depend on."""
     digest = hashlib.sha256(json.dumps([asdict(settings), source.image_hashes]).encode())
     for array in (source.world_from_camera, source.points, source.observations):
         digest.update(np.ascontiguousarray(array).tobytes())
-    digest.update(plane.coefficients().tobytes())
+    if isinstance(stand_in, UsualDepths):
+        digest.update(np.array([stand_in.near, stand_in.typical, stand_in.far]).tobytes())
+    else:
+        digest.update(stand_in.coefficients().tobytes())
     for camera in source.cameras:
         digest.update(repr(camera).encode())
     return digest.hexdigest()[:32]

@@ -8,7 +8,7 @@ import numpy as np
 
 from pipelines.geometry.camera import cameras_text
 from pipelines.geometry.pose import camera_heading_of
-from pipelines.lightfield.scene import Scene
+from pipelines.lightfield.scene import PlaneEstimate, Scene
 from pipelines.lightfield.scene_file import load_scene, scene_provenance
 from pipelines.lightfield.size_budget import SizeBudget, size_budget
 
@@ -42,9 +42,9 @@ class SceneSummary:
             ("views", _views_text(facts)),
             ("cameras", cameras_text(self.scene.cameras)),
             ("depth maps", _depth_text(facts["depth"])),
-            ("plane", "{:.4f} x + {:.4f} y + {:.4f} z + {:.4f} = 0".format(*plane["coefficients"])),
-            ("plane from", _origin(plane)),
+            *_plane_rows(plane),
             ("area", "x {:.2f} to {:.2f} m, y {:.2f} to {:.2f} m".format(*bounds)),
+            *_ground_rows(facts["free_ground_m2"]),
             ("viewing directions", "{:.0f} to {:.0f} deg".format(*facts["headings_deg"])),
             ("scale from", facts["scale_source"]),
             ("robot mount", "yes" if facts["has_mount"] else "no"),
@@ -55,7 +55,6 @@ class SceneSummary:
         """Plain JSON types."""
         scene = self.scene
         headings = np.degrees(np.unwrap(camera_heading_of(scene.world_from_camera)))
-        surface = scene.surface
         return {
             "path": str(self.path),
             "kind": "scene",
@@ -63,15 +62,10 @@ class SceneSummary:
             "left_out": list(self.left_out),
             "image_megabytes": sum(map(len, scene.encoded_images)) / 1e6,
             "cameras": [f"{c.model} {c.width}x{c.height}" for c in scene.cameras],
-            "plane": {
-                "coefficients": scene.plane.coefficients().tolist(),
-                "method": surface.method,
-                "quality": surface.quality,
-                "offset_sigma_m": _finite(surface.offset_sigma),
-                "angle_sigma_deg": _finite(float(np.degrees(surface.angle_sigma))),
-            },
+            "plane": None if scene.surface is None else _plane_facts(scene.surface),
             "depth": _depth_facts(scene),
             "bounds_m": scene.bounds.tolist(),
+            "free_ground_m2": None if scene.ground is None else scene.ground.area,
             "headings_deg": [float(headings.min()), float(headings.max())],
             "scale_source": scene.scale_source,
             "has_mount": scene.base_from_camera is not None,
@@ -106,6 +100,27 @@ def _views_text(facts: dict[str, Any]) -> str:
         return text
     total = facts["views"] + len(facts["left_out"])
     return f"{text}, chosen from {total}; {len(facts['left_out'])} left out"
+
+
+def _plane_facts(surface: PlaneEstimate) -> dict[str, Any]:
+    return {
+        "coefficients": surface.plane.coefficients().tolist(),
+        "method": surface.method,
+        "quality": surface.quality,
+        "offset_sigma_m": _finite(surface.offset_sigma),
+        "angle_sigma_deg": _finite(float(np.degrees(surface.angle_sigma))),
+    }
+
+
+def _plane_rows(plane: dict[str, Any] | None) -> list[tuple[str, str]]:
+    if plane is None:
+        return [("plane", "none: depth maps alone show the surface")]
+    equation = "{:.4f} x + {:.4f} y + {:.4f} z + {:.4f} = 0".format(*plane["coefficients"])
+    return [("plane", equation), ("plane from", _origin(plane))]
+
+
+def _ground_rows(square_metres: float | None) -> list[tuple[str, str]]:
+    return [] if square_metres is None else [("free ground", f"{square_metres:.1f} m\u00b2 of it")]
 
 
 def _depth_facts(scene: Scene) -> dict[str, Any] | None:

@@ -42,6 +42,10 @@ JACKKNIFE_STEP = 0.01
 _AXIS_PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
+class NoDominantPlaneError(StageError):
+    """No single plane stands for what the photos show; depth maps can do without one."""
+
+
 def plane_from_points(
     points: FloatArray, world_from_camera: FloatArray, rng: np.random.Generator
 ) -> PlaneEstimate:
@@ -53,7 +57,8 @@ def plane_from_points(
         rng: for the random samples.
 
     Raises:
-        StageError: too few points, or none of the sampled planes is seen from the front.
+        NoDominantPlaneError: none of the sampled planes is seen from the front.
+        StageError: too few points.
     """
     if len(points) < MIN_POINTS:
         raise StageError(
@@ -74,17 +79,21 @@ def plane_from_points(
         gaps = np.abs(points @ normals[index] + offsets[index]) / threshold
         scores[index] = np.sum(np.minimum(gaps, 1.0) ** 2)
     if not np.isfinite(scores).any():
-        raise StageError("no plane of the points is seen from the front; give --plane a,b,c,d")
+        raise NoDominantPlaneError(
+            "no plane of the points is seen from the front; give --plane a,b,c,d"
+        )
     best = int(np.argmin(scores))
     plane = Plane(normals[best], float(offsets[best]))
     for _ in range(10):
         inliers = np.abs(plane.signed_distance(points)) < threshold
         if np.count_nonzero(inliers) < 3:
-            raise StageError("the points lie on no plane; give --plane a,b,c,d")
+            raise NoDominantPlaneError("the points lie on no plane; give --plane a,b,c,d")
         plane = fit_plane(points[inliers])
     # The fit follows the points: a steep slice through a floor ends up as the floor.
     if abs(float(plane.normal @ axes.mean(axis=0))) < SMALLEST_INCIDENCE:
-        raise StageError("no plane of the points is seen from the front; give --plane a,b,c,d")
+        raise NoDominantPlaneError(
+            "no plane of the points is seen from the front; give --plane a,b,c,d"
+        )
     inliers = np.abs(plane.signed_distance(points)) < threshold
     offset_sigma, angle_sigma = _least_squares_sigmas(points[inliers], plane, middle)
     share = float(np.mean(inliers))
@@ -129,7 +138,8 @@ def plane_from_photos(
         progress: shown during the search.
 
     Raises:
-        StageError: fewer than two photos, or no plane under which they agree.
+        NoDominantPlaneError: the photos look in all directions, or agree on no plane.
+        StageError: fewer than two photos.
     """
     pairs = choose_pairs(world_from_camera)
     if not pairs:
@@ -156,7 +166,7 @@ def plane_from_photos(
     plane = frame.plane(best)
     quality = plane_correlation(fine, plane)
     if quality < SMALLEST_CORRELATION:
-        raise StageError(
+        raise NoDominantPlaneError(
             f"the photos do not agree on a plane (best correlation {quality:.2f}); "
             "give --plane a,b,c,d"
         )
@@ -185,7 +195,7 @@ class _SearchFrame:
         backwards = -world_from_camera[:, :3, 2].mean(axis=0)
         length = np.linalg.norm(backwards)
         if length < 0.2:
-            raise StageError(
+            raise NoDominantPlaneError(
                 "the photos look in all directions: no single plane can show their scene; "
                 "give --plane a,b,c,d"
             )

@@ -16,10 +16,11 @@ from pipelines.artifacts.arrays import (
     ImageArray,
     IntArray,
 )
-from pipelines.artifacts.errors import InputError
+from pipelines.artifacts.errors import InputError, StageError
 from pipelines.dataset.images import decode_image
 from pipelines.geometry.camera import Camera
 from pipelines.geometry.plane import Plane
+from pipelines.lightfield.free_ground import FreeGround
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,8 @@ class Scene:
         cameras: the cameras that took them.
         camera_index: ``(N,)`` index into ``cameras``.
         world_from_camera: ``(N, 4, 4)`` where the views were taken from, metres.
-        surface: the plane that approximates the scene's surface.
+        surface: the plane that approximates the scene's surface; None where depth maps alone show
+            it, since no plane does.
         base_from_camera: ``(4, 4)`` mount of the recording robot; None where the map was not made
             by a robot.
         bounds: ``(4,)`` x_min, x_max, y_min, y_max in metres: where on the ground a robot can stand
@@ -77,6 +79,7 @@ class Scene:
         scale_source: where the metric scale comes from, as the reconstruction states it.
         identifier: hash of the content; a run names the scene that it belongs to by it.
         depth: a depth map a view; empty where the plane is all that is known of the surface.
+        ground: the part of ``bounds`` that the surface leaves free; None: all of it.
     """
 
     image_names: tuple[str, ...]
@@ -85,20 +88,32 @@ class Scene:
     cameras: tuple[Camera, ...]
     camera_index: IntArray
     world_from_camera: FloatArray
-    surface: PlaneEstimate
+    surface: PlaneEstimate | None
     base_from_camera: FloatArray | None
     bounds: FloatArray
     scale_source: str
     identifier: str
     depth: tuple[SceneDepth, ...] = ()
+    ground: FreeGround | None = None
 
     def __len__(self) -> int:
         return len(self.image_names)
 
     @property
     def plane(self) -> Plane:
-        """The scene's surface."""
+        """The plane that approximates the scene's surface.
+
+        Raises:
+            StageError: no plane does; depth maps alone show the surface.
+        """
+        if self.surface is None:
+            raise StageError("the scene has no plane: depth maps alone show its surface")
         return self.surface.plane
+
+    @property
+    def plane_if_any(self) -> Plane | None:
+        """The plane that approximates the scene's surface; None where no plane does."""
+        return None if self.surface is None else self.surface.plane
 
     def camera_of(self, index: int) -> Camera:
         """The camera that took a view.

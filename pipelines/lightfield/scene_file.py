@@ -4,7 +4,10 @@ Layout: ``scene`` (JSON: names, cameras, surface, scale source, provenance), ``t
 ``camera_index``, ``world_from_camera``, ``bounds``, ``base_from_camera`` where there is one, and a
 dataset a view, ``images/000000`` ..., with the bytes of the photo as recorded. With depth maps
 also, for each view, ``depth/000000/inverse`` (16 bits; times ``depth/000000/scale``: 1 / metres; 0:
-unknown) and ``depth/000000/confident``.
+unknown) and ``depth/000000/confident``. Without a plane also the free ground: ``ground/cells``,
+``ground/corner`` and ``ground/cell``.
+
+A scene without a plane is written as schema 2, any other one as schema 1.
 """
 
 import hashlib
@@ -32,10 +35,11 @@ from pipelines.dataset.images import image_header
 from pipelines.geometry.camera import Camera, camera_from_dict
 from pipelines.geometry.plane import Plane, plane_from_coefficients
 from pipelines.geometry.pose import are_rigid
+from pipelines.lightfield.free_ground import FreeGround
 from pipelines.lightfield.scene import PlaneEstimate, Scene, SceneDepth
 
 FORMAT = "lfnav scene"
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 MAX_IMAGE_BYTES = 256 * 1024 * 1024
 # What JSON of another structure than expected leads to.
 _MALFORMED = (KeyError, TypeError, ValueError, AttributeError, OverflowError, OptionError)
@@ -62,7 +66,7 @@ def save_scene(
     path = checked_path(path, "the scene's path")
     checked_instance(scene, "the scene", Scene)
     with create_hdf5(path, overwrite) as file:
-        write_schema(file, FORMAT, SCHEMA_VERSION)
+        write_schema(file, FORMAT, _schema_of(scene))
         write_json(file, "scene", {**_description(scene), "provenance": dict(provenance or {})})
         write_array(file, "timestamps", scene.timestamps)
         write_array(file, "camera_index", scene.camera_index)
@@ -70,6 +74,10 @@ def save_scene(
         write_array(file, "bounds", scene.bounds)
         if scene.base_from_camera is not None:
             write_array(file, "base_from_camera", scene.base_from_camera)
+        if scene.ground is not None:
+            write_array(file, "ground/cells", scene.ground.cells, compress=True)
+            write_array(file, "ground/corner", scene.ground.corner)
+            write_array(file, "ground/cell", np.float64(scene.ground.cell))
         for index, data in enumerate(scene.encoded_images):
             write_array(file, f"images/{index:06d}", np.frombuffer(data, dtype=np.uint8))
         for index, depth in enumerate(scene.depth):
@@ -137,7 +145,7 @@ def identifier_of(
     cameras: Sequence[Camera],
     camera_index: IntArray,
     world_from_camera: FloatArray,
-    surface: PlaneEstimate,
+    surface: PlaneEstimate | None,
     base_from_camera: FloatArray | None,
     depth: Sequence[SceneDepth] = (),
 ) -> str:
@@ -150,7 +158,8 @@ def identifier_of(
         digest.update(f"{camera.model} {camera.width} {camera.height}".encode())
         digest.update(np.array(camera.params, dtype="<f8").tobytes())
     digest.update(np.ascontiguousarray(world_from_camera, dtype="<f8").tobytes())
-    digest.update(surface.plane.coefficients().astype("<f8").tobytes())
+    if surface is not None:
+        digest.update(surface.plane.coefficients().astype("<f8").tobytes())
     if base_from_camera is not None:
         digest.update(np.ascontiguousarray(base_from_camera, dtype="<f8").tobytes())
     for depth_map in depth:
@@ -163,22 +172,30 @@ def _description(scene: Scene) -> dict[str, Any]:
     return {
         "image_names": list(scene.image_names),
         "cameras": [camera.to_dict() for camera in scene.cameras],
-        "surface": {
-            "plane": scene.plane.coefficients().tolist(),
-            "offset_sigma": _finite_or_none(scene.surface.offset_sigma),
-            "angle_sigma": _finite_or_none(scene.surface.angle_sigma),
-            "method": scene.surface.method,
-            "quality": scene.surface.quality,
-        },
+        "surface": None if scene.surface is None else _surface_description(scene.surface),
         "scale_source": scene.scale_source,
         "identifier": scene.identifier,
+    }
+
+
+def _schema_of(scene: Scene) -> int:
+    """The oldest schema that holds a scene, so that older programs read what they can show."""
+    return 1 if scene.surface is not None and scene.ground is None else SCHEMA_VERSION
+
+
+def _surface_description(surface: PlaneEstimate) -> dict[str, Any]:
+    return {
+        "plane": surface.plane.coefficients().tolist(),
+        "offset_sigma": _finite_or_none(surface.offset_sigma),
+        "angle_sigma": _finite_or_none(surface.angle_sigma),
+        "method": surface.method,
+        "quality": surface.quality,
     }
 
 
 def _scene_of(file: SafeFile, description: Any) -> Scene:
     names = tuple(str(name) for name in description["image_names"])
     count = len(names)
-    surface = description["surface"]
     base_from_camera = None
     if file.has("base_from_camera"):
         base_from_camera = file.read_array("base_from_camera", dtype_kind="f", shape=(4, 4))
@@ -194,18 +211,35 @@ def _scene_of(file: SafeFile, description: Any) -> Scene:
         cameras=tuple(map(camera_from_dict, description["cameras"])),
         camera_index=file.read_array("camera_index", dtype_kind="i", shape=(count,)),
         world_from_camera=file.read_array("world_from_camera", dtype_kind="f", shape=(count, 4, 4)),
-        surface=PlaneEstimate(
-            _stored_plane(surface["plane"]),
-            _or_infinite(surface["offset_sigma"]),
-            _or_infinite(surface["angle_sigma"]),
-            str(surface["method"]),
-            float(surface["quality"]),
-        ),
+        surface=_surface_of(description["surface"]),
         base_from_camera=base_from_camera,
         bounds=file.read_array("bounds", dtype_kind="f", shape=(4,)),
         scale_source=str(description["scale_source"]),
         identifier=str(description["identifier"]),
         depth=_depth_of(file, count),
+        ground=_ground_of(file),
+    )
+
+
+def _surface_of(stored: Any) -> PlaneEstimate | None:
+    if stored is None:
+        return None
+    return PlaneEstimate(
+        _stored_plane(stored["plane"]),
+        _or_infinite(stored["offset_sigma"]),
+        _or_infinite(stored["angle_sigma"]),
+        str(stored["method"]),
+        float(stored["quality"]),
+    )
+
+
+def _ground_of(file: SafeFile) -> FreeGround | None:
+    if not file.has("ground"):
+        return None
+    return FreeGround(
+        file.read_array("ground/corner", dtype_kind="f", shape=(2,)),
+        float(file.read_array("ground/cell", dtype_kind="f", shape=())),
+        file.read_array("ground/cells", dtype_kind="b", shape=(None, None)),
     )
 
 
@@ -238,6 +272,8 @@ def _check(path: Path, scene: Scene) -> None:
     """What must hold before a renderer may index into the arrays."""
     if len(scene) == 0:
         raise InputError(path, "holds no views")
+    if scene.surface is None and not scene.depth:
+        raise InputError(path, "holds neither a plane nor depth maps")
     if not scene.cameras or np.any(
         (scene.camera_index < 0) | (scene.camera_index >= len(scene.cameras))
     ):

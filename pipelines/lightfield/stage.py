@@ -21,7 +21,7 @@ from pipelines.artifacts.provenance import provenance, sha256_of_bytes, sha256_o
 from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.dataset.images import decode_image, read_image_bytes
 from pipelines.geometry.camera import Intrinsics, Undistorter
-from pipelines.geometry.plane import Plane, plane_from_coefficients
+from pipelines.geometry.plane import plane_from_coefficients
 from pipelines.lightfield.depth_maps import (
     depth_from_photos,
     discard_finished,
@@ -29,15 +29,19 @@ from pipelines.lightfield.depth_maps import (
     points_of_depth,
 )
 from pipelines.lightfield.description import LEFT_OUT, SceneSummary, summary_of
+from pipelines.lightfield.ground_carving import free_ground
 from pipelines.lightfield.plane_estimation import (
     FINE_WIDTH,
     MIN_POINTS,
+    NoDominantPlaneError,
     plane_from_photos,
     plane_from_points,
 )
 from pipelines.lightfield.scene import PlaneEstimate, Scene, SceneDepth, covered_bounds
 from pipelines.lightfield.scene_file import identifier_of, save_scene
 from pipelines.lightfield.stereo_depth import DepthSettings
+from pipelines.lightfield.stereo_neighbours import StandIn
+from pipelines.lightfield.usual_depths import depths_of_maps, depths_of_photos, depths_of_points
 from pipelines.lightfield.view_selection import KnownSurface, select_views
 from pipelines.lightfield.views import build_views, shrink
 from pipelines.reconstruct.reconstruction import (
@@ -109,7 +113,8 @@ def model(
 
     The photos stay as they are, and what they show is approximated by a surface (Heigl, Denzler,
     Niemann 2001, section 2): a plane, or a depth map a photo by a plane sweep (Collins 1996) with
-    semi-global matching (Hirschmueller 2008).
+    semi-global matching (Hirschmueller 2008). Depth maps do without a plane where the photos have
+    no dominant one.
 
     Args:
         reconstruction: folder made by ``reconstruct``.
@@ -173,17 +178,24 @@ def build_scene(
     photos = _Photos(source, images, None if decodes_all else FINE_WIDTH)
     given = given_depth(source, root) if settings.takes_depth else ()
     surface = _surface(source, photos, given, settings, progress)
-    if surface.plane.signed_distance(source.world_from_camera[:, :3, 3]).max() <= 0.0:
+    centres = source.world_from_camera[:, :3, 3]
+    if surface is not None and surface.plane.signed_distance(centres).max() <= 0.0:
         raise StageError("no photo was taken from the front of the plane; check --plane")
+    stand_in = _stand_in(source, photos, given, surface, progress)
     if settings.max_views is not None:
         # Before depth: the photos that are left out would, as neighbours in the sweep, improve the
         # rendering by less than 0.1 dB, for the time and memory of decoding all of them.
-        kept = _select(source, surface.plane, given, settings.max_views, progress)
+        kept = _select(source, stand_in, given, settings.max_views, progress)
         source, images = with_images(source, kept), tuple(images[index] for index in kept)
         given = tuple(given[index] for index in kept) if given else ()
         photos = _Photos(source, images, None)
-    depth = given or _depth(source, photos, surface.plane, settings, finished, progress)
-    cameras = [source.cameras[int(index)] for index in source.camera_index]
+    depth = given or _depth(source, photos, stand_in, settings, finished, progress)
+    if surface is None:
+        ground = free_ground(source.world_from_camera, _undistorted(source), depth)
+        bounds = ground.bounds
+    else:
+        cameras = [source.cameras[int(index)] for index in source.camera_index]
+        ground, bounds = None, covered_bounds(source.world_from_camera, cameras, surface.plane)
     return Scene(
         image_names=source.image_names,
         encoded_images=images,
@@ -193,7 +205,7 @@ def build_scene(
         world_from_camera=source.world_from_camera,
         surface=surface,
         base_from_camera=source.base_from_camera,
-        bounds=covered_bounds(source.world_from_camera, cameras, surface.plane),
+        bounds=bounds,
         scale_source=source.scale_source,
         identifier=identifier_of(
             images,
@@ -205,6 +217,7 @@ def build_scene(
             depth,
         ),
         depth=depth,
+        ground=ground,
     )
 
 
@@ -225,16 +238,20 @@ def _read_photos(source: Reconstruction, root: Path) -> tuple[bytes, ...]:
 
 def _select(
     source: Reconstruction,
-    plane: Plane,
+    stand_in: StandIn,
     given: tuple[SceneDepth, ...],
     count: int,
     progress: Progress,
 ) -> IntArray:
     """Indices of the photos that the model holds."""
+    surface = KnownSurface(stand_in, source.points, source.observations, given)
+    return select_views(source.world_from_camera, _undistorted(source), surface, count, progress)
+
+
+def _undistorted(source: Reconstruction) -> list[Intrinsics]:
+    """The intrinsics of each undistorted photo."""
     pinholes = [Undistorter(camera).intrinsics for camera in source.cameras]
-    intrinsics = [pinholes[int(index)] for index in source.camera_index]
-    surface = KnownSurface(plane, source.points, source.observations, given)
-    return select_views(source.world_from_camera, intrinsics, surface, count, progress)
+    return [pinholes[int(index)] for index in source.camera_index]
 
 
 class _Photos:
@@ -271,12 +288,28 @@ def _surface(
     given: tuple[SceneDepth, ...],
     settings: ModelSettings,
     progress: Progress,
-) -> PlaneEstimate:
-    """The plane that was asked for, or the dominant one of points, given depth or photos."""
+) -> PlaneEstimate | None:
+    """The plane that was asked for, or the dominant one; None where depth maps do without one."""
     centres = source.world_from_camera[:, :3, 3]
     if settings.plane is not None:
         plane = plane_from_coefficients(settings.plane).facing(centres)
         return PlaneEstimate(plane, 0.0, 0.0, "given", 1.0)
+    try:
+        return _dominant_plane(source, photos, given, settings, progress)
+    except NoDominantPlaneError:
+        if settings.geometry == "plane":
+            raise
+        return None
+
+
+def _dominant_plane(
+    source: Reconstruction,
+    photos: _Photos,
+    given: tuple[SceneDepth, ...],
+    settings: ModelSettings,
+    progress: Progress,
+) -> PlaneEstimate:
+    """The dominant plane of points, given depth or photos."""
     points = source.points
     if len(points) < MIN_POINTS and given:
         points = points_of_depth(source, given)
@@ -287,10 +320,27 @@ def _surface(
     return plane_from_photos(views, source.world_from_camera, progress)
 
 
+def _stand_in(
+    source: Reconstruction,
+    photos: _Photos,
+    given: tuple[SceneDepth, ...],
+    surface: PlaneEstimate | None,
+    progress: Progress,
+) -> StandIn:
+    """What is taken for the surface where nothing better is known: the plane, else usual depths."""
+    if surface is not None:
+        return surface.plane
+    known = depths_of_maps(given) or depths_of_points(source)
+    if known is not None:
+        return known
+    images, intrinsics = photos.decoded(progress)
+    return depths_of_photos(images, intrinsics, source.world_from_camera)
+
+
 def _depth(
     source: Reconstruction,
     photos: _Photos,
-    plane: Plane,
+    stand_in: StandIn,
     settings: ModelSettings,
     finished: Path | None,
     progress: Progress,
@@ -299,7 +349,9 @@ def _depth(
     if settings.geometry == "plane":
         return ()
     images, intrinsics = photos.decoded(progress)
-    return depth_from_photos(source, images, intrinsics, plane, DepthSettings(), finished, progress)
+    return depth_from_photos(
+        source, images, intrinsics, stand_in, DepthSettings(), finished, progress
+    )
 
 
 def _plain(options: dict[str, Any]) -> dict[str, Any]:

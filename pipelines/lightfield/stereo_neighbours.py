@@ -1,10 +1,12 @@
 """Stereo neighbours: from which photos a depth map is computed, and its range of depths.
 
 Both questions are asked of *samples*: points of the scene that a view sees. They are its sparse
-points where structure from motion found some, else points of the scene's plane.
+points where structure from motion found some, else points of a stand-in: the scene's plane, or
+where it has none, the depths that its photos usually show.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -34,10 +36,39 @@ NEAR_OF_POINTS, FAR_OF_POINTS = 0.85, 1.25
 NEAR_OF_PLANE, FAR_OF_PLANE = 0.4, 2.5
 
 
+@dataclass(frozen=True)
+class UsualDepths:
+    """Depths along the optical axis that the photos of a scene usually show, metres.
+
+    Attributes:
+        near: nearly nothing is nearer.
+        typical: the median.
+        far: nearly nothing is farther.
+    """
+
+    near: float
+    typical: float
+    far: float
+
+    @classmethod
+    def of_depths(cls, depths: FloatArray) -> "UsualDepths":
+        """Those of depths ``(P,)``, positive, in metres, with a margin for what they miss."""
+        farthest, typical, nearest = np.percentile(
+            1.0 / depths, [POINT_PERCENTILES[0], 50.0, POINT_PERCENTILES[1]]
+        )
+        return cls(
+            float(NEAR_OF_POINTS / nearest), float(1.0 / typical), float(FAR_OF_POINTS / farthest)
+        )
+
+
+# What is taken for the surface where nothing better is known of it.
+StandIn = Plane | UsualDepths
+
+
 def choose_neighbours(
     world_from_camera: FloatArray,
     intrinsics: Sequence[Intrinsics],
-    plane: Plane,
+    stand_in: StandIn,
     points: FloatArray,
     observations: IntArray,
     count: int,
@@ -51,7 +82,7 @@ def choose_neighbours(
     Args:
         world_from_camera: ``(N, 4, 4)``.
         intrinsics: of the N pinhole images.
-        plane: used in the scene's place where a view has too few sparse points.
+        stand_in: used in the scene's place where a view has too few sparse points.
         points: ``(P, 3)`` sparse points, world coordinates; may be empty.
         observations: ``(M, 2)`` rows (point, view).
         count: the most neighbours of a view.
@@ -74,7 +105,7 @@ def choose_neighbours(
     chosen = []
     for view in range(len(world_from_camera)):
         samples, matched = _samples(
-            view, world_from_camera, intrinsics[view], plane, points, observations
+            view, world_from_camera, intrinsics[view], stand_in, points, observations
         )
         pixels = (camera_from_world[:, :3, :3] @ samples.T + camera_from_world[:, :3, 3:]).swapaxes(
             1, 2
@@ -92,20 +123,20 @@ def depth_range(
     view: int,
     world_from_camera: FloatArray,
     intrinsics: Intrinsics,
-    plane: Plane,
+    stand_in: StandIn,
     points: FloatArray,
     observations: IntArray,
 ) -> tuple[float, float]:
     """The depths (metres along z, near and far) between which a view's scene lies.
 
     From the sparse points that the view observes; where it observes too few, from the plane, with
-    wider margins.
+    wider margins, or from what the scene's photos usually show.
 
     Args:
         view: index of the view.
         world_from_camera: ``(N, 4, 4)``.
         intrinsics: of this view.
-        plane: the scene's plane.
+        stand_in: the scene's plane, or its usual depths.
         points: ``(P, 3)`` sparse points; may be empty.
         observations: ``(M, 2)`` rows (point, view).
 
@@ -119,8 +150,10 @@ def depth_range(
     if len(depth) >= MIN_POINTS:
         farthest, nearest = np.percentile(1.0 / depth, POINT_PERCENTILES)
         near, far = NEAR_OF_POINTS / nearest, FAR_OF_POINTS / farthest
+    elif isinstance(stand_in, UsualDepths):
+        near, far = stand_in.near, stand_in.far
     else:
-        on_plane = plane_depths(world_from_camera[view], intrinsics, plane)[1]
+        on_plane = stand_in_depths(world_from_camera[view], intrinsics, stand_in)[1]
         near, far = NEAR_OF_PLANE * np.min(on_plane), FAR_OF_PLANE * np.max(on_plane)
     return checked_range(float(near), float(far))
 
@@ -140,7 +173,7 @@ def _samples(
     view: int,
     world_from_camera: FloatArray,
     intrinsics: Intrinsics,
-    plane: Plane,
+    stand_in: StandIn,
     points: FloatArray,
     observations: IntArray,
 ) -> tuple[FloatArray, FloatArray]:
@@ -148,7 +181,7 @@ def _samples(
     views = len(world_from_camera)
     own = np.unique(observations[observations[:, 1] == view, 0])
     if len(own) < MIN_POINTS:
-        rays, depths = plane_depths(world_from_camera[view], intrinsics, plane)
+        rays, depths = stand_in_depths(world_from_camera[view], intrinsics, stand_in)
         samples = world_from_camera[view, :3, 3] + rays * depths[:, None]
         return samples, np.ones((views, len(samples)))
     own = own[:: -(-len(own) // MAX_SAMPLES)]
@@ -159,24 +192,26 @@ def _samples(
     return points[own], matched
 
 
-def plane_depths(
+def stand_in_depths(
     world_from_camera: FloatArray,
     intrinsics: Intrinsics,
-    plane: Plane,
+    stand_in: StandIn,
     columns: int = GRID_COLUMNS,
     rows: int = GRID_ROWS,
 ) -> tuple[FloatArray, FloatArray]:
-    """A grid of rays ``(S, 3)`` with z = 1 in the camera, and the depths ``(S,)`` of the plane.
+    """A grid of rays ``(S, 3)`` with z = 1 in the camera, and the depths ``(S,)`` of the stand-in.
 
-    Rays that miss the plane, or meet it far behind the rest of the image, get the median depth of
+    Rays that miss a plane, or meet it far behind the rest of the image, get the median depth of
     the others; a view that looks away from the plane gets its distance from it.
     """
     u = (np.arange(columns) + 0.5) / columns * intrinsics.width - 0.5
     v = (np.arange(rows) + 0.5) / rows * intrinsics.height - 0.5
     pixels = np.stack([*(grid.ravel() for grid in np.meshgrid(u, v)), np.ones(u.size * v.size)])
     rays = (world_from_camera[:3, :3] @ np.linalg.inv(intrinsics.matrix()) @ pixels).T
-    height = float(plane.signed_distance(world_from_camera[:3, 3]))
-    slope = rays @ plane.normal
+    if isinstance(stand_in, UsualDepths):
+        return rays, np.full(len(rays), stand_in.typical)
+    height = float(stand_in.signed_distance(world_from_camera[:3, 3]))
+    slope = rays @ stand_in.normal
     with np.errstate(divide="ignore"):
         depths = np.where(slope * height < 0.0, -height / slope, np.inf)
     met = np.isfinite(depths)

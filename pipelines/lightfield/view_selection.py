@@ -21,10 +21,9 @@ from pipelines.artifacts.arrays import Float32Array, FloatArray, IntArray
 from pipelines.artifacts.errors import OptionError
 from pipelines.artifacts.stages import Progress
 from pipelines.geometry.camera import Intrinsics
-from pipelines.geometry.plane import Plane
 from pipelines.geometry.pose import inverse
 from pipelines.lightfield.scene import SceneDepth
-from pipelines.lightfield.stereo_neighbours import MIN_POINTS, plane_depths
+from pipelines.lightfield.stereo_neighbours import MIN_POINTS, StandIn, stand_in_depths
 from pipelines.lightfield.view_penalties import border_penalties, ray_penalties, sees
 
 GRID_COLUMNS, GRID_ROWS = 6, 4
@@ -39,13 +38,13 @@ class KnownSurface:
     """What is known of the scene's surface.
 
     Attributes:
-        plane: used where nothing better is known.
+        stand_in: used where nothing better is known.
         points: ``(P, 3)`` sparse points, world coordinates; may be empty.
         observations: ``(M, 2)`` rows (point, view).
         depth: a depth map a view; may be empty.
     """
 
-    plane: Plane
+    stand_in: StandIn
     points: FloatArray
     observations: IntArray
     depth: Sequence[SceneDepth] = ()
@@ -120,10 +119,10 @@ def _surface_points(
     """``(S, 3)`` where the rays of a grid of a photo's pixels meet the scene.
 
     The depth at a pixel is that of the photo's depth map, or of its nearest sparse point in the
-    image; of a photo without either that of the plane.
+    image; of a photo without either that of the stand-in.
     """
-    rays, depths = plane_depths(
-        world_from_camera, intrinsics, surface.plane, GRID_COLUMNS, GRID_ROWS
+    rays, depths = stand_in_depths(
+        world_from_camera, intrinsics, surface.stand_in, GRID_COLUMNS, GRID_ROWS
     )
     camera_from_world = inverse(world_from_camera)
     own = surface.points[surface.observations[surface.observations[:, 1] == view, 0]]

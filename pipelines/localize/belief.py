@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from pipelines.artifacts.arrays import BoolArray, FloatArray, checked_array
 from pipelines.artifacts.errors import OptionError, StageError
+from pipelines.lightfield.free_ground import FreeGround
 from pipelines.localize.state_space import StateSpace, sigmas_of, state_space_of_dimension
 
 # A belief's weights add up to 1 within this; looser than rounding over a million particles.
@@ -122,11 +123,12 @@ def effective_sample_size(log_weights: FloatArray) -> float:
 
 @dataclass(frozen=True)
 class Region:
-    """Where a body may be: all positions between two corners, in any orientation.
+    """Where a body may be: positions between two corners, above free ground, in any orientation.
 
     Attributes:
         low: ``(P,)`` smallest coordinates, metres.
         high: ``(P,)`` largest.
+        ground: the ground between the corners that is free; None: all of it.
 
     Raises:
         OptionError: corners that are not finite or enclose nothing.
@@ -134,6 +136,7 @@ class Region:
 
     low: FloatArray
     high: FloatArray
+    ground: FreeGround | None = None
 
     def __post_init__(self) -> None:
         if not (np.all(np.isfinite(self.low)) and np.all(np.isfinite(self.high))):
@@ -147,13 +150,32 @@ class Region:
 
     def log_density(self, space: StateSpace) -> float:
         """Logarithm of the uniform distribution's density over the region."""
-        volume = float(np.prod(self.high - self.low)) * space.orientation_volume()
+        sides = self.high - self.low
+        volume = float(np.prod(sides)) * space.orientation_volume()
+        if self.ground is not None:
+            volume *= self.ground.area / float(np.prod(sides[:2]))
         return -math.log(volume)
 
     def contains(self, states: FloatArray) -> BoolArray:
         """Which states ``(M, D)`` lie inside, ``(M,)``."""
         positions = states[:, : len(self.low)]
-        return np.asarray(np.all((positions >= self.low) & (positions <= self.high), axis=1))
+        inside = np.all((positions >= self.low) & (positions <= self.high), axis=1)
+        if self.ground is not None:
+            inside &= self.ground.contains(positions[:, :2])
+        return np.asarray(inside)
+
+    def sample(self, space: StateSpace, count: int, rng: np.random.Generator) -> FloatArray:
+        """Draws states ``(count, D)`` uniformly, in any orientation.
+
+        Args:
+            space: what a state is.
+            count: how many.
+            rng: source of the draws.
+        """
+        states = space.uniform(self.low, self.high, count, rng)
+        if self.ground is not None:
+            states[:, :2] = self.ground.sample(count, rng)
+        return states
 
 
 def region_of_area(area: ArrayLike) -> Region:
@@ -183,7 +205,7 @@ def uniform_belief(
         OptionError: fewer than one particle.
     """
     _check_count(count)
-    return Belief(space.uniform(region.low, region.high, count, rng), equal_log_weights(count))
+    return Belief(region.sample(space, count, rng), equal_log_weights(count))
 
 
 def gaussian_belief(

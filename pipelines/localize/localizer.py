@@ -236,7 +236,7 @@ class Localizer:
 
 
 def region_of(scene: Scene, settings: LocalizerSettings) -> Region:
-    """Where the body may be.
+    """Where the body may be: the scene's free ground or bounds, and the settings' area.
 
     Raises:
         OptionError: the area does not touch what the scene covers.
@@ -249,13 +249,22 @@ def region_of(scene: Scene, settings: LocalizerSettings) -> Region:
             "the area lies outside of the scene model, which covers "
             f"x {bounds[0]:.2f} to {bounds[1]:.2f} m, y {bounds[2]:.2f} to {bounds[3]:.2f} m"
         )
+    ground = scene.ground
+    if ground is not None and settings.area is not None:
+        ground = ground.within(area)
+        if ground is None:
+            raise OptionError("the area holds nothing of the scene model's free ground")
+        # The corners enclose every free cell, cut by the area's sides or not.
+        area = ground.bounds
     if space.positions == 2:
-        return region_of_area(area)
+        return replace(region_of_area(area), ground=ground)
     centres = scene.world_from_camera[:, :3, 3]
     low, high = centres.min(axis=0) - AROUND_VIEWS, centres.max(axis=0) + AROUND_VIEWS
     if settings.area is not None:
         low[:2], high[:2] = area[[0, 2]], area[[1, 3]]
-    return Region(low, high)
+    if ground is not None:
+        low[:2], high[:2] = ground.bounds[[0, 2]], ground.bounds[[1, 3]]
+    return Region(low, high, ground)
 
 
 def _strategy(

@@ -70,9 +70,7 @@ class MeasurementModel:
         self._absolute = absolute
         self._learner = ThreadPoolExecutor(1)
         self._pixels: dict[int, Future[PixelEvidence]] = {}
-        distances = self.renderer.plane.signed_distance(colours.centres)
-        usual = float(np.median(distances[distances > 0.0])) if np.any(distances > 0.0) else 0.0
-        self._least_distance = usual / VIEW_RESOLUTION_FACTOR
+        self._least_distance = _usual_distance(self.renderer, colours) / VIEW_RESOLUTION_FACTOR
 
     @classmethod
     def of_scene(
@@ -204,7 +202,7 @@ class MeasurementModel:
         blurred, whatever the scene.
         """
         renderer = self.renderer
-        if renderer.quality is not Quality.PLANE:
+        if renderer.quality is not Quality.PLANE or renderer.plane is None:
             return np.zeros(len(states), dtype=np.bool_)
         distances = renderer.plane.signed_distance(self._poses(states)[:, :3, 3])
         return np.asarray(distances < self._least_distance, dtype=np.bool_)
@@ -332,3 +330,11 @@ class MeasurementModel:
     def _poses(self, states: FloatArray) -> FloatArray:
         states = checked_array(states, "states", (None, self.space.dimension))
         return self.space.poses(states) @ self.body_from_camera
+
+
+def _usual_distance(renderer: Renderer, views: Views) -> float:
+    """Median distance of the views before the plane from it, metres; 0 without a plane."""
+    if renderer.plane is None:
+        return 0.0
+    distances = renderer.plane.signed_distance(views.centres)
+    return float(np.median(distances[distances > 0.0])) if np.any(distances > 0.0) else 0.0

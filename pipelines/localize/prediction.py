@@ -92,7 +92,7 @@ class Prediction:
             rng: source of the draws.
         """
         anywhere = round(self.anywhere_share * count)
-        uniform = self.space.uniform(self.region.low, self.region.high, anywhere, rng)
+        uniform = self.region.sample(self.space, anywhere, rng)
         if anywhere == count:
             return uniform
         chosen = self.centres[resample(self.log_weights, count - anywhere, scheme, rng)]

@@ -108,12 +108,20 @@ def _tiles(intrinsics: Intrinsics) -> tuple[IntArray, IntArray]:
 def spread_states(space: StateSpace, region: Region, count: int) -> FloatArray:
     """States ``(count, D)`` of a robot on the floor, evenly over a region and all headings.
 
-    A Halton sequence: more even than random numbers, and the same every time.
+    A Halton sequence: more even than random numbers, and the same every time. Where only a part of
+    the region's rectangle is free, it is the part of a longer sequence that lies there.
     """
-    places = np.stack([radical_inverses(count, base) for base in HALTON_BASES], axis=1)
     low = np.append(region.low, -np.pi)
     high = np.append(region.high, np.pi)
-    return space.moved(low + places * (high - low), np.zeros(space.dimension))
+    length = count
+    while True:
+        places = np.stack([radical_inverses(length, base) for base in HALTON_BASES], axis=1)
+        states = low + places * (high - low)
+        if region.ground is not None:
+            states = states[region.ground.contains(states[:, :2])]
+        if len(states) >= count:
+            return space.moved(states[:count], np.zeros(space.dimension))
+        length *= 2
 
 
 def states_around_views(

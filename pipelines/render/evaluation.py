@@ -62,7 +62,7 @@ class SceneEvaluation:
         rows: list[tuple[str, ...]] = [
             (self.against, "PSNR (dB)", "least", "SSIM", "least", "coverage", "least")
         ]
-        for method in METHODS:
+        for method in self.values:
             row = [names[method]]
             for measure, form in zip(MEASURES, ("{:.2f}", "{:.3f}", "{:.1%}"), strict=True):
                 values = self.values[method][measure]
@@ -72,7 +72,7 @@ class SceneEvaluation:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON types."""
-        measures = {method: _statistics(self.values[method]) for method in METHODS}
+        measures = {method: _statistics(of) for method, of in self.values.items()}
         return {
             "scene": str(self.scene_path),
             "against": self.against,
@@ -81,8 +81,9 @@ class SceneEvaluation:
             "frames": len(self.values["light_field"]["psnr_db"]),
             **measures["light_field"],
             "baselines": {
-                "nearest_photo": measures["nearest_photo"],
-                "plane": measures["plane"],
+                method: measures[method]
+                for method in ("nearest_photo", "plane")
+                if method in measures
             },
         }
 
@@ -131,7 +132,9 @@ def evaluate_scene(
         held_out = photos_of_dataset(frames, poses, views)
         against = f"{count} photos of {dataset.resolve().name}"
     values: dict[str, dict[str, list[float]]] = {
-        method: {measure: [] for measure in MEASURES} for method in METHODS
+        method: {measure: [] for measure in MEASURES}
+        for method in METHODS
+        if method != "plane" or scene.surface is not None
     }
     for photo in progress(held_out, "evaluate", count):
         for method, (image, covered) in _shown(photo, scene, chosen, blending).items():
@@ -152,11 +155,12 @@ def _shown(
 ) -> dict[str, tuple[ImageArray, BoolArray]]:
     """What each method shows at the photo's pose, and which pixels it covers."""
     shown = {"nearest_photo": _nearest_photo(photo)}
-    for method, finest in (("plane", Quality.PLANE), ("light_field", quality)):
+    surfaces = [("plane", Quality.PLANE), ("light_field", quality)]
+    for method, finest in surfaces if scene.surface is not None else surfaces[1:]:
         if finest is Quality.PLANE and "plane" in shown:
             shown[method] = shown["plane"]
             continue
-        renderer = Renderer(photo.views, scene.plane, blending, finest, threads=1)
+        renderer = Renderer(photo.views, scene.plane_if_any, blending, finest, threads=1)
         rendering = renderer.render(photo.world_from_camera, photo.intrinsics)
         shown[method] = rendering.image, rendering.covered
     return shown

@@ -70,7 +70,7 @@ class GpuRenderer(Renderer):
 
     Args:
         views: the photos.
-        plane: the scene's surface where ``quality`` is ``PLANE``.
+        plane: the scene's surface where ``quality`` is ``PLANE``; None: a scene without a plane.
         blending: the rule that chooses and weights the views.
         quality: how finely the surface follows the views' depth maps.
         threads: of the work on the CPU; None: one a processor.
@@ -84,7 +84,7 @@ class GpuRenderer(Renderer):
     def __init__(
         self,
         views: Views,
-        plane: Plane,
+        plane: Plane | None,
         blending: Blending = Blending.UNSTRUCTURED,
         quality: Quality = Quality.PLANE,
         threads: int | None = None,
@@ -104,7 +104,7 @@ class GpuRenderer(Renderer):
         self._lock = threading.Lock()
         with gpu_errors():
             self._gpu_views = upload_views(gpu, self.views, self._usable)
-        self._plane = plane.coefficients().copy()
+        self._plane = np.zeros(4) if plane is None else plane.coefficients().copy()
         self._plane[3] += self._plane[:3] @ self._gpu_views.origin
 
     def render(self, world_from_camera: FloatArray, intrinsics: Intrinsics) -> Rendering:

@@ -76,7 +76,7 @@ class NativeRenderer:
         views: the light field's photos.
         index: of the views that may take part.
         usable: ``(N,)`` views that may take part.
-        plane: the surface where ``quality`` is ``PLANE``.
+        plane: the surface where ``quality`` is ``PLANE``; else None will do.
         blending: the rule that chooses and weights the views.
         quality: how finely the surface follows the views' depth maps.
         typical_inverse_depth: median of all depth maps' known values, 1 / metres.
@@ -87,7 +87,7 @@ class NativeRenderer:
         views: Views,
         index: ViewIndex,
         usable: BoolArray,
-        plane: Plane,
+        plane: Plane | None,
         blending: Blending,
         quality: Quality,
         typical_inverse_depth: float,
@@ -115,7 +115,7 @@ class NativeRenderer:
             members=index.members,
             blocks=index.blocks,
             groups=index.groups,
-            plane=plane.coefficients(),
+            plane=np.zeros(4) if plane is None else plane.coefficients(),
             depth_settings=np.array(
                 [
                     PINHOLE_FACTOR,

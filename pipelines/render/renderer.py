@@ -92,7 +92,7 @@ class Renderer:
 
     Args:
         views: the photos, as ``views_of_scene`` prepares them; from a scene: ``of_scene``.
-        plane: the scene's surface where ``quality`` is ``PLANE``.
+        plane: the scene's surface where ``quality`` is ``PLANE``; None: a scene without a plane.
         blending: the rule that chooses and weights the views.
         quality: how finely the surface follows the views' depth maps.
         threads: how many work at the same time; None: one a processor.
@@ -107,14 +107,15 @@ class Renderer:
     def __init__(
         self,
         views: Views,
-        plane: Plane,
+        plane: Plane | None,
         blending: Blending = Blending.UNSTRUCTURED,
         quality: Quality = Quality.PLANE,
         threads: int | None = None,
         typical_inverse_depth: float | None = None,
     ) -> None:
         checked_instance(views, "views", Views)
-        checked_instance(plane, "plane", Plane)
+        if plane is not None:
+            checked_instance(plane, "plane", Plane)
         checked_instance(blending, "blending", Blending)
         checked_instance(quality, "quality", Quality)
         if threads is not None:
@@ -124,6 +125,11 @@ class Renderer:
                 f"quality {quality.name.lower()} needs depth maps, and the scene has none; "
                 "make it with --geometry depth"
             )
+        if quality is Quality.PLANE and plane is None:
+            raise OptionError(
+                "quality plane needs a plane, and the scene has none: its photos look in all "
+                "directions; choose a quality that follows the depth maps"
+            )
         # A plane hides nothing, whatever depth maps say.
         self.views = without_depth(views) if quality is Quality.PLANE else views
         self.plane = plane
@@ -132,7 +138,7 @@ class Renderer:
         self.threads = threads or processor_count()
         self._pool = ThreadPoolExecutor(self.threads)
         self._usable = np.ones(len(views), dtype=np.bool_)
-        if quality is Quality.PLANE:
+        if quality is Quality.PLANE and plane is not None:
             self._usable = plane.signed_distance(views.centres) > 0.0
         if typical_inverse_depth is None:
             typical_inverse_depth = median_inverse_depth(self.views)
@@ -176,7 +182,7 @@ class Renderer:
         checked_instance(scene, "the scene", Scene)
         if views is None:
             views = views_of_scene(scene, largest_side)
-        return cls(views, scene.plane, blending, quality, threads)
+        return cls(views, scene.plane_if_any, blending, quality, threads)
 
     def without_view(self, index: int, threads: int | None = None) -> "Renderer":
         """A renderer of all other photos, on the CPU.

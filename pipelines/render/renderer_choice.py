@@ -50,9 +50,9 @@ def renderer_of_scene(
         from pipelines.render.gpu_renderer import GpuRenderer
 
         try:
-            return GpuRenderer(views, scene.plane, blending, quality, threads, gpu=gpu)
+            return GpuRenderer(views, scene.plane_if_any, blending, quality, threads, gpu=gpu)
         except StageError as error:
             if device is not Device.AUTO:
                 raise
             logger.warning("rendering on the CPU, since %s", error)
-    return Renderer(views, scene.plane, blending, quality, threads)
+    return Renderer(views, scene.plane_if_any, blending, quality, threads)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.lightfield.scene import Scene
+from pipelines.lightfield.scene import PlaneEstimate, Scene
 from pipelines.localize.description import notes_of
 from pipelines.localize.run import PNP_ESTIMATE, Run
 from pipelines.report.docking import ANIMATION_CAPTION, CAPTION, docking_verdict
@@ -169,16 +169,13 @@ def _errors_caption(tracks: Tracks) -> str:
 
 def _details(run: Run, scene: Scene, scene_origin: Mapping[str, Any]) -> list[Table]:
     camera = run.camera
-    surface = scene.surface
     origin = [
         ("data set", run.dataset_name),
         ("camera", f"{camera.model}, {camera.width}\u00d7{camera.height} pixels"),
         ("camera parameters", ", ".join(f"{value:.6g}" for value in camera.params)),
         ("scene", run.scene_path),
         ("scene identifier", scene.identifier),
-        ("scene surface", f"plane, found by: {surface.method}"),
-        ("plane a, b, c, d", ", ".join(f"{v:.4f}" for v in scene.plane.coefficients())),
-        ("plane uncertainty", _plane_uncertainty(surface.offset_sigma, surface.angle_sigma)),
+        *_surface_rows(scene.surface),
         ("scale from", scene.scale_source),
         *flattened(run.provenance),
     ]
@@ -187,6 +184,16 @@ def _details(run: Run, scene: Scene, scene_origin: Mapping[str, Any]) -> list[Ta
         Table("Settings of the filter", settings),
         Table("Origin of the run", origin),
         Table("Origin of the scene", flattened(scene_origin)),
+    ]
+
+
+def _surface_rows(surface: PlaneEstimate | None) -> list[tuple[str, str]]:
+    if surface is None:
+        return [("scene surface", "depth maps, no plane")]
+    return [
+        ("scene surface", f"plane, found by: {surface.method}"),
+        ("plane a, b, c, d", ", ".join(f"{v:.4f}" for v in surface.plane.coefficients())),
+        ("plane uncertainty", _plane_uncertainty(surface.offset_sigma, surface.angle_sigma)),
     ]
 
 

@@ -49,7 +49,8 @@ class Surroundings:
     """The fixed part of a top view.
 
     Attributes:
-        surface: the mapped surface; None where no view covers any of it.
+        surface: the mapped surface; None where no view covers any of it, or the
+            scene has no plane.
         recordings: ``(V, 3)`` recording positions x, y (metres) and headings (radians).
         extent: ``(4,)`` x_min, x_max, y_min, y_max of the top view, metres.
         obstacles: ``(M, 2)`` obstacle points on the floor, metres; None: not shown.
@@ -73,9 +74,10 @@ def surroundings_of(
     """
     positions = scene.world_from_camera[:, :2, 3]
     headings = camera_heading_of(scene.world_from_camera)
-    surface = surface_from_above(
-        scene.plane, scene.world_from_camera, [scene.camera_of(i) for i in range(len(scene))]
-    )
+    surface = None
+    if scene.surface is not None:
+        cameras = [scene.camera_of(index) for index in range(len(scene))]
+        surface = surface_from_above(scene.plane, scene.world_from_camera, cameras)
     bounds = np.asarray(scene.bounds, dtype=np.float64)
     corners = bounds.reshape(2, 2).T
     known = [corners, positions]

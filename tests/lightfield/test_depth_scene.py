@@ -83,6 +83,7 @@ def test_the_plane_comes_from_given_depth_where_there_are_no_points(
     scene = tmp_path / "scene.h5"
     succeed("model", reconstruction, "-o", scene, "--geometry", "depth", "--depth", "given")
     found = load_scene(scene).surface
+    assert found is not None
     assert found.method == "points"
     # The wall y = 0, of which the board hides a third.
     assert np.degrees(np.arccos(-found.plane.normal[1])) < 0.2

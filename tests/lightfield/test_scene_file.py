@@ -213,6 +213,7 @@ def test_an_image_of_another_scene_in_its_place(tmp_path: Path) -> None:
 
 def test_whatever_decides_the_look_decides_the_identifier(tmp_path: Path) -> None:
     scene = small_scene()
+    assert scene.surface is not None
     moved = scene.world_from_camera.copy()
     moved[1, 0, 3] += 1e-9
     others = [

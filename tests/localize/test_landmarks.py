@@ -85,6 +85,7 @@ def test_a_plane_is_met_where_ray_and_plane_cross() -> None:
 def scene_of(camera: Camera, depth: bool) -> tuple[Scene, FloatArray]:
     """One view of the slanted plane; its pose."""
     scene = wall_scene()
+    assert scene.surface is not None
     pose = looking([1.0, -3.0, 1.2], [0.5, 0.0, 0.8])
     normal = -(pose[:3, :3] @ SLOPE) / np.linalg.norm(SLOPE)
     point = pose[:3, :3] @ np.array([0.0, 0.0, 2.0]) + pose[:3, 3]

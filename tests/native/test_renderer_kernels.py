@@ -234,6 +234,7 @@ def scene_arguments() -> dict[str, Any]:
     renderer, _ = light_field(5, 11, quality=Quality.FINE)
     views, usable = renderer.views.arrays, np.ones(5, dtype=np.bool_)
     index = build_index(renderer.views, usable)
+    assert renderer.plane is not None
     names = ("texels", "level_start", "level_size", "projection", "rays", "centres", "focal")
     depths = ("inverse_depth", "depth_start", "depth_size")
     more = ("origin", "order", "numbers", "members", "blocks", "groups")

@@ -113,6 +113,7 @@ def test_model_with_a_given_plane(
     assert lfnav("model", reconstruction, "-o", target, "--plane", "0,2,0,0.5", "--json") == 0
     facts = json.loads(capsys.readouterr().out)
     scene = load_scene(target)
+    assert scene.surface is not None
     np.testing.assert_allclose(scene.plane.coefficients(), [0.0, -1.0, 0.0, -0.25])
     assert facts["plane"]["method"] == scene.surface.method == "given"
     assert facts["views"] == len(scene) == len(list((SAMPLES / "map" / "rgb").iterdir()))
@@ -377,6 +378,7 @@ def mean_psnr(scene: Scene, width: int) -> float:
 
 def test_the_plane_of_the_sample_data_is_found(estimated: Scene) -> None:
     """The bound that the project promises: 8 cm and 1.5 degrees of y = 0, over the wall."""
+    assert estimated.surface is not None
     assert estimated.surface.method == "photos"
     assert angle_between(estimated.plane, WALL) < np.radians(1.5)
     for x in (-2.5, -1.2, 0.0):

@@ -105,7 +105,10 @@ def _simulated(kind: str, path: Path, scene: Scene, options: RobotOptions, seed:
 
 
 def _random_state(scene: Scene, rng: np.random.Generator) -> FloatArray:
-    """A state ``(3,)`` drawn from a scene's bounds."""
+    """A state ``(3,)`` drawn from a scene's free ground or bounds."""
+    if scene.ground is not None:
+        x, y = scene.ground.sample(1, rng)[0]
+        return np.array([x, y, rng.uniform(-math.pi, math.pi)])
     x_min, x_max, y_min, y_max = scene.bounds
     return np.array(
         [rng.uniform(x_min, x_max), rng.uniform(y_min, y_max), rng.uniform(-math.pi, math.pi)]
