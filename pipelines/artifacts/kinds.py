@@ -10,6 +10,8 @@ SCENE_FORMAT, RUN_FORMAT, WORLD_FORMAT = "lfnav scene", "lfnav run", "lfnav worl
 RECONSTRUCTION_FILE = "reconstruction.json"
 # A world is a folder with an index and, in this folder, a scene for each area.
 WORLD_FILE, AREA_FOLDER = "world.h5", "areas"
+# Of the folder beside a world in which finished areas are kept while it is built.
+BUILDING_SUFFIX = ".areas-in-progress"
 
 Kind = Literal["reconstruction", "world", "scene", "run", "dataset"]
 
@@ -72,5 +74,9 @@ def _kind_of_folder(path: Path) -> Kind:
             path,
             f"holds {AREA_FOLDER}/ and no {WORLD_FILE}: the world is not whole",
             "make it again with lfnav model --areas",
+        )
+    if path.name.endswith(BUILDING_SUFFIX):
+        raise InputError(
+            path, "is a world that is being built", "call the same lfnav model again to go on"
         )
     return "dataset"

@@ -17,7 +17,7 @@ from pipelines.artifacts.arguments import (
 )
 from pipelines.artifacts.atomic import atomic_folder, check_output
 from pipelines.artifacts.errors import InputError, OptionError
-from pipelines.artifacts.kinds import AREA_FOLDER, WORLD_FILE
+from pipelines.artifacts.kinds import AREA_FOLDER, BUILDING_SUFFIX, WORLD_FILE
 from pipelines.artifacts.provenance import provenance, sha256_of_file
 from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.lightfield.area_build import BuiltArea, area_task, build_areas
@@ -39,8 +39,6 @@ from pipelines.reconstruct.reconstruction import (
     load_reconstruction,
 )
 
-# Beside the output while areas are built.
-BUILDING_SUFFIX = ".areas-in-progress"
 AUTOMATIC = "auto"
 DEFAULT_AREA_VIEWS = 150
 MAX_JOBS = 1024

@@ -1,9 +1,11 @@
 """A world is built whole or not at all, resumed, the same each time, and read with suspicion."""
 
 import json
+import multiprocessing
 import shutil
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -103,7 +105,9 @@ def test_finished_areas_are_not_built_again(
     with pytest.raises(StageError, match="area east: the lights went out"):
         model_world(place / "map", tmp_path / "world", drawn, FLAT)
     assert not (tmp_path / "world").exists()
-    kept = list((tmp_path / "world.areas-in-progress").iterdir())
+    building = tmp_path / "world.areas-in-progress"
+    assert "is a world that is being built" in lfnav("info", building).err
+    kept = list(building.iterdir())
     assert [path.name.split(".")[0] for path in kept] == ["west"]
     model_world(place / "map", tmp_path / "world", drawn, FLAT)
     assert len(built) == 3
@@ -156,6 +160,25 @@ def test_a_killed_build_goes_on(place: Path, tmp_path: Path) -> None:
     drawn = AreaSettings(file=place / "areas.toml")
     model_world(place / "map", output, drawn, FLAT, overwrite=True)
     assert content(output) == content(place / "world")
+
+
+def test_a_process_that_is_killed_costs_its_area(place: Path, tmp_path: Path) -> None:
+    settings = AreaSettings(file=place / "areas.toml", jobs=2)
+
+    def kill_one() -> None:
+        # Whoever has just been started is still importing.
+        while not (children := multiprocessing.active_children()):
+            time.sleep(0.01)
+        children[0].kill()
+
+    killer = threading.Thread(target=kill_one)
+    killer.start()
+    with pytest.raises(StageError, match=r"finished areas are kept, missing are .*east"):
+        model_world(place / "map", tmp_path / "world", settings, FLAT)
+    killer.join()
+    assert not (tmp_path / "world").exists()
+    model_world(place / "map", tmp_path / "world", settings, FLAT)
+    assert content(tmp_path / "world") == content(place / "world")
 
 
 def test_max_views_holds_for_each_area(place: Path, drawn: AreaSettings, tmp_path: Path) -> None:
