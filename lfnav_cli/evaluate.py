@@ -85,8 +85,9 @@ def command(
       lfnav evaluate scene.h5 --leave-one-out
       lfnav evaluate scene.h5 --leave-one-out --interior
     """
-    from pipelines.artifacts.kinds import kind_of
+    from pipelines.artifacts.kinds import kind_of, refuse_world
 
+    refuse_world(path)
     if kind_of(path) != "scene":
         of_scene = (dataset, poses, leave_one_out or None, interior or None, quality, blending)
         if any(option is not None for option in of_scene):

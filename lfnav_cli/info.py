@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from lfnav_cli.common import common_options, json_option, print_summary
+from lfnav_cli.common import common_options, json_option, overwrite_option, print_summary
 
 if TYPE_CHECKING:
     from pipelines.artifacts.stages import Progress, Summary
@@ -13,17 +13,39 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("path", type=click.Path(path_type=Path))
+@click.option(
+    "--picture",
+    type=click.Path(path_type=Path),
+    metavar="FILE.png",
+    help="Also draw the areas of a world from above.",
+)
+@overwrite_option
 @json_option
 @common_options
-def command(path: Path, as_json: bool, progress: "Progress") -> None:
-    """Prints what PATH contains: a data set, a reconstruction, a scene model or a run.
+def command(
+    path: Path, picture: Path | None, overwrite: bool, as_json: bool, progress: "Progress"
+) -> None:
+    """Prints what PATH contains: a data set, a reconstruction, a scene model, a world or a run.
 
     \b
     Example:
       lfnav info sample_data/elevators/map
       lfnav info run.h5 --json
+      lfnav info out/floor_world --picture areas.png
     """
+    if picture is not None:
+        _draw(path, picture, overwrite)
     print_summary(_describe(path), as_json)
+
+
+def _draw(path: Path, picture: Path, overwrite: bool) -> None:
+    from pipelines.artifacts.kinds import kind_of
+
+    if kind_of(path) != "world":
+        raise click.UsageError(f"--picture is for worlds; {path} is none")
+    from pipelines.report.world_map import draw_world
+
+    draw_world(path, picture, overwrite)
 
 
 def _describe(path: Path) -> "Summary":
@@ -38,6 +60,10 @@ def _describe(path: Path) -> "Summary":
         from pipelines.lightfield.description import describe_scene
 
         return describe_scene(path)
+    if kind == "world":
+        from pipelines.lightfield.world_description import describe_world
+
+        return describe_world(path)
     if kind == "run":
         from pipelines.localize.description import describe_run
 

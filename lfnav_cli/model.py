@@ -20,7 +20,11 @@ if TYPE_CHECKING:
 @click.command("model")
 @click.argument("reconstruction", type=click.Path(path_type=Path))
 @click.option(
-    "-o", "--output", required=True, type=click.Path(path_type=Path), help="File to write."
+    "-o",
+    "--output",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="File to write; with --areas folder to write.",
 )
 @click.option(
     "--geometry",
@@ -54,6 +58,26 @@ if TYPE_CHECKING:
     help="Keep the N photos that together show best what all of them show. Default: all.",
 )
 @click.option("--seed", type=int, default=0, show_default=True, help="Random seed.")
+@click.option(
+    "--areas",
+    metavar="auto|FILE.toml",
+    help="Make a world: a scene for each area. Areas are found, or are the rectangles of FILE.",
+)
+@click.option(
+    "--area-views", type=int, metavar="N", help="The most photos of an area. Default: 150."
+)
+@click.option(
+    "--area-memory",
+    type=float,
+    metavar="MB",
+    help="Instead: what an area may take in memory as localize opens it.",
+)
+@click.option(
+    "--jobs",
+    type=int,
+    metavar="N",
+    help="Areas that are built at once, each in a process. Default: 1.",
+)
 @overwrite_option
 @json_option
 @common_options
@@ -66,6 +90,10 @@ def command(
     images: Path | None,
     max_views: int | None,
     seed: int,
+    areas: str | None,
+    area_views: int | None,
+    area_memory: float | None,
+    jobs: int | None,
     overwrite: bool,
     as_json: bool,
     progress: "Progress",
@@ -78,17 +106,39 @@ def command(
     stopped are not computed again. Of many photos taken close together, --max-views keeps those
     that matter: memory, and time for a rendered view, grow with their number.
 
+    With --areas the output is a folder: a world, whose areas are scenes of their own that overlap
+    at the doorways. Areas that are finished when the command is stopped are not built again.
+
     \b
     Example:
       lfnav model out/elevators -o out/elevators.h5
       lfnav model out/elevators -o out/elevators.h5 --plane 0,1,0,0
       lfnav model out/workshop -o out/workshop.h5 --geometry depth
       lfnav model out/workshop -o out/workshop.h5 --max-views 100
+      lfnav model out/floor -o out/floor_world --areas auto --area-views 120 --geometry depth
     """
     from pipelines.lightfield.stage import ModelSettings, model
 
     settings = ModelSettings(
         geometry=geometry, depth=depth, plane=plane, images=images, seed=seed, max_views=max_views
     )
+    if areas is not None:
+        from pipelines.lightfield.world import AUTOMATIC, AreaSettings, model_world
+
+        divided = AreaSettings(
+            file=None if areas == AUTOMATIC else Path(areas),
+            views=area_views,
+            megabytes=area_memory,
+            jobs=1 if jobs is None else jobs,
+        )
+        world = model_world(
+            reconstruction, output, divided, settings, overwrite=overwrite, progress=progress
+        )
+        print_summary(world, as_json)
+        return
+    given = {"--area-views": area_views, "--area-memory": area_memory, "--jobs": jobs}
+    for name, value in given.items():
+        if value is not None:
+            raise click.UsageError(f"{name} goes with --areas")
     summary = model(reconstruction, output, settings, overwrite=overwrite, progress=progress)
     print_summary(summary, as_json)

@@ -6,21 +6,27 @@ from typing import Literal
 from pipelines.artifacts.errors import InputError, quoted, reason_of
 from pipelines.artifacts.safe_hdf5 import is_hdf5, open_hdf5
 
-SCENE_FORMAT, RUN_FORMAT = "lfnav scene", "lfnav run"
+SCENE_FORMAT, RUN_FORMAT, WORLD_FORMAT = "lfnav scene", "lfnav run", "lfnav world"
 RECONSTRUCTION_FILE = "reconstruction.json"
+# A world is a folder with an index and, in this folder, a scene for each area.
+WORLD_FILE, AREA_FOLDER = "world.h5", "areas"
+# Of the folder beside a world in which finished areas are kept while it is built.
+BUILDING_SUFFIX = ".areas-in-progress"
 
-Kind = Literal["reconstruction", "scene", "run", "dataset"]
+Kind = Literal["reconstruction", "world", "scene", "run", "dataset"]
 
 
 def kind_of(path: Path) -> Kind:
     """The kind of thing that a path holds.
 
     Returns:
-        ``"reconstruction"`` for a folder with a ``reconstruction.json``, ``"scene"`` or ``"run"``
-        for an HDF5 file of that format, ``"dataset"`` for anything else that exists.
+        ``"reconstruction"`` for a folder with a ``reconstruction.json``, ``"world"`` for one with a
+        ``world.h5``, ``"scene"`` or ``"run"`` for an HDF5 file of that format, ``"dataset"`` for
+        anything else that exists.
 
     Raises:
-        InputError: nothing is there, or an HDF5 file that lfnav did not make.
+        InputError: nothing is there, an HDF5 file that lfnav did not make, or a folder with the
+            scenes of areas and no index.
     """
     try:
         path.stat()
@@ -29,7 +35,7 @@ def kind_of(path: Path) -> Kind:
     except (OSError, ValueError) as error:
         raise InputError(path, f"cannot be read ({reason_of(error)})") from error
     if path.is_dir():
-        return "reconstruction" if (path / RECONSTRUCTION_FILE).is_file() else "dataset"
+        return _kind_of_folder(path)
     if not is_hdf5(path):
         return "dataset"
     with open_hdf5(path) as file:
@@ -38,4 +44,39 @@ def kind_of(path: Path) -> Kind:
         return "scene"
     if found == RUN_FORMAT:
         return "run"
+    if found == WORLD_FORMAT:
+        raise InputError(path, "is the index of a world", f"name its folder, {path.parent}")
     raise InputError(path, f"is an HDF5 file of format {quoted(found)}, which lfnav does not know")
+
+
+def refuse_world(path: Path) -> None:
+    """Says what to do with a world where one scene is needed.
+
+    Raises:
+        InputError: ``path`` is the folder of a world, or its index.
+    """
+    folder = path.parent if path.name == WORLD_FILE else path
+    if (folder / WORLD_FILE).is_file():
+        raise InputError(
+            path,
+            "is a world of areas, which this command does not take yet",
+            f"name the scene of one area, {folder / AREA_FOLDER}/NAME.h5",
+        )
+
+
+def _kind_of_folder(path: Path) -> Kind:
+    if (path / RECONSTRUCTION_FILE).is_file():
+        return "reconstruction"
+    if (path / WORLD_FILE).is_file():
+        return "world"
+    if any((path / AREA_FOLDER).glob("*.h5")):
+        raise InputError(
+            path,
+            f"holds {AREA_FOLDER}/ and no {WORLD_FILE}: the world is not whole",
+            "make it again with lfnav model --areas",
+        )
+    if path.name.endswith(BUILDING_SUFFIX):
+        raise InputError(
+            path, "is a world that is being built", "call the same lfnav model again to go on"
+        )
+    return "dataset"

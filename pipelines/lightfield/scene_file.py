@@ -22,6 +22,8 @@ from numpy.typing import NDArray
 from pipelines.artifacts.arguments import PathLike, checked_instance, checked_path
 from pipelines.artifacts.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from pipelines.artifacts.errors import InputError, OptionError, reason_of
+from pipelines.artifacts.json_fields import JsonFields
+from pipelines.artifacts.kinds import refuse_world
 from pipelines.artifacts.safe_hdf5 import (
     SafeFile,
     check_schema,
@@ -99,6 +101,7 @@ def load_scene(path: PathLike) -> Scene:
         OptionError: ``path`` is no path.
     """
     path = checked_path(path, "the scene's path")
+    refuse_world(path)
     with open_hdf5(path) as file:
         check_schema(file, FORMAT, SCHEMA_VERSION)
         description = file.read_json("scene")
@@ -123,6 +126,17 @@ def scene_provenance(path: Path) -> dict[str, Any]:
         description = file.read_json("scene")
     stored = description.get("provenance", {}) if isinstance(description, dict) else {}
     return stored if isinstance(stored, dict) else {}
+
+
+def scene_identifier(path: Path) -> str:
+    """The identifier stored with a scene model; whether it is that of the content is not checked.
+
+    Raises:
+        InputError: missing, not a scene, damaged, or of a newer schema.
+    """
+    with open_hdf5(path) as file:
+        check_schema(file, FORMAT, SCHEMA_VERSION)
+        return JsonFields(path, file.read_json("scene")).get("identifier", str)
 
 
 def quantised(inverse_depth: Float32Array) -> tuple[NDArray[np.uint16], float]:

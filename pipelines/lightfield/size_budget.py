@@ -7,6 +7,7 @@ from typing import Any
 
 from pipelines.artifacts.errors import InputError
 from pipelines.artifacts.safe_hdf5 import open_hdf5
+from pipelines.geometry.camera import Camera
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.views import SMALLEST_LEVEL_SIDE, shrunk_size, texels_beyond
 
@@ -81,6 +82,24 @@ def size_budget(path: Path, scene: Scene) -> SizeBudget:
     """
     memory = {name: _memory(scene, side) for name, side in RESOLUTIONS.items()}
     return SizeBudget(len(scene), _on_disk(path, scene), memory)
+
+
+def view_memory(camera: Camera, encoded_bytes: float, depth_side: int | None) -> float:
+    """Bytes that one view of a scene takes in memory as ``lfnav localize`` opens it.
+
+    Args:
+        camera: that took the photo.
+        encoded_bytes: of the photo's file.
+        depth_side: longer side of its depth map, pixels; None: without one.
+    """
+    size = shrunk_size(camera.width, camera.height, LOCALIZE_SIDE)
+    total = encoded_bytes + TEXEL_BYTES * _pyramid_texels(*size)
+    if depth_side is not None:
+        stored = shrunk_size(camera.width, camera.height, depth_side)
+        shown = shrunk_size(*stored, LOCALIZE_SIDE)
+        # A map's 32-bit values and mask, and the values that the renderer makes of it.
+        total += 5 * stored[0] * stored[1] + DEPTH_BYTES * shown[0] * shown[1]
+    return total
 
 
 def _on_disk(path: Path, scene: Scene) -> dict[str, int]:

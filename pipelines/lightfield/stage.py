@@ -140,9 +140,8 @@ def model(
     finished = output.with_name(output.name + FINISHED_SUFFIX)
     scene = build_scene(source, settings, progress, finished)
     inputs = {DESCRIPTION_NAME: sha256_of_file(reconstruction / DESCRIPTION_NAME)}
-    options = {name: value for name, value in asdict(settings).items() if name != "images"}
     left_out = sorted(set(source.image_names) - set(scene.image_names))
-    record = {**provenance("model", _plain(options), inputs), LEFT_OUT: left_out}
+    record = {**provenance("model", plain_options(settings), inputs), LEFT_OUT: left_out}
     save_scene(output, scene, overwrite, record)
     discard_finished(finished)
     return summary_of(output, scene)
@@ -354,7 +353,10 @@ def _depth(
     )
 
 
-def _plain(options: dict[str, Any]) -> dict[str, Any]:
+def plain_options(settings: ModelSettings) -> dict[str, Any]:
+    """The options as plain JSON types, without where the photos lie."""
     return {
-        name: list(value) if isinstance(value, tuple) else value for name, value in options.items()
+        name: list(value) if isinstance(value, tuple) else value
+        for name, value in asdict(settings).items()
+        if name != "images"
     }
