@@ -53,6 +53,13 @@ if TYPE_CHECKING:
     metavar="N",
     help="Keep the N photos that together show best what all of them show. Default: all.",
 )
+@click.option(
+    "--storage",
+    type=click.Choice(["full", "compact"]),
+    default="full",
+    show_default=True,
+    help="Photos as recorded, or as small as localization and docking allow.",
+)
 @click.option("--seed", type=int, default=0, show_default=True, help="Random seed.")
 @overwrite_option
 @json_option
@@ -65,6 +72,7 @@ def command(
     plane: tuple[float, ...] | None,
     images: Path | None,
     max_views: int | None,
+    storage: str,
     seed: int,
     overwrite: bool,
     as_json: bool,
@@ -76,7 +84,8 @@ def command(
     plane is estimated from the sparse points where the reconstruction has some, else from the
     photos: the plane over which they agree best. Depth maps that are finished when the command is
     stopped are not computed again. Of many photos taken close together, --max-views keeps those
-    that matter: memory, and time for a rendered view, grow with their number.
+    that matter: memory, and time for a rendered view, grow with their number. --storage compact
+    makes the file about a tenth as large; --storage full keeps the photos' files.
 
     \b
     Example:
@@ -84,11 +93,18 @@ def command(
       lfnav model out/elevators -o out/elevators.h5 --plane 0,1,0,0
       lfnav model out/workshop -o out/workshop.h5 --geometry depth
       lfnav model out/workshop -o out/workshop.h5 --max-views 100
+      lfnav model out/workshop -o out/workshop.h5 --storage compact
     """
     from pipelines.lightfield.stage import ModelSettings, model
 
     settings = ModelSettings(
-        geometry=geometry, depth=depth, plane=plane, images=images, seed=seed, max_views=max_views
+        geometry=geometry,
+        depth=depth,
+        plane=plane,
+        images=images,
+        seed=seed,
+        max_views=max_views,
+        storage=storage,
     )
     summary = model(reconstruction, output, settings, overwrite=overwrite, progress=progress)
     print_summary(summary, as_json)
