@@ -57,6 +57,13 @@ if TYPE_CHECKING:
     metavar="N",
     help="Keep the N photos that together show best what all of them show. Default: all.",
 )
+@click.option(
+    "--storage",
+    type=click.Choice(["full", "compact"]),
+    default="full",
+    show_default=True,
+    help="Photos as recorded, or as small as localization and docking allow.",
+)
 @click.option("--seed", type=int, default=0, show_default=True, help="Random seed.")
 @click.option(
     "--areas",
@@ -89,6 +96,7 @@ def command(
     plane: tuple[float, ...] | None,
     images: Path | None,
     max_views: int | None,
+    storage: str,
     seed: int,
     areas: str | None,
     area_views: int | None,
@@ -104,7 +112,8 @@ def command(
     plane is estimated from the sparse points where the reconstruction has some, else from the
     photos: the plane over which they agree best. Depth maps that are finished when the command is
     stopped are not computed again. Of many photos taken close together, --max-views keeps those
-    that matter: memory, and time for a rendered view, grow with their number.
+    that matter: memory, and time for a rendered view, grow with their number. --storage compact
+    makes the file about a tenth as large; --storage full keeps the photos' files.
 
     With --areas the output is a folder: a world, whose areas are scenes of their own that overlap
     at the doorways. Areas that are finished when the command is stopped are not built again.
@@ -116,11 +125,18 @@ def command(
       lfnav model out/workshop -o out/workshop.h5 --geometry depth
       lfnav model out/workshop -o out/workshop.h5 --max-views 100
       lfnav model out/floor -o out/floor_world --areas auto --area-views 120 --geometry depth
+      lfnav model out/workshop -o out/workshop.h5 --storage compact
     """
     from pipelines.lightfield.stage import ModelSettings, model
 
     settings = ModelSettings(
-        geometry=geometry, depth=depth, plane=plane, images=images, seed=seed, max_views=max_views
+        geometry=geometry,
+        depth=depth,
+        plane=plane,
+        images=images,
+        seed=seed,
+        max_views=max_views,
+        storage=storage,
     )
     if areas is not None:
         from pipelines.lightfield.world import AUTOMATIC, AreaSettings, model_world

@@ -34,7 +34,7 @@ _MODE_TEXTS = {
     "RGBA": "in colour or grey with transparency",
 }
 # What Pillow raises over damaged files.
-_DECODING_ERRORS = (
+DECODING_ERRORS = (
     OSError,
     SyntaxError,
     ValueError,
@@ -210,7 +210,7 @@ def _opened(file: IO[bytes], name: Path | str) -> Any:
         raise InputError(name, "is neither a JPEG nor a PNG image, or is damaged") from error
     except Image.DecompressionBombError as error:
         raise InputError(name, f"has more than {MAX_PIXELS} pixels") from error
-    except _DECODING_ERRORS as error:
+    except DECODING_ERRORS as error:
         raise InputError(name, f"is a damaged image ({reason_of(error)})") from error
     width, height = image.size
     if width < 1 or height < 1 or width * height > MAX_PIXELS:
@@ -232,6 +232,6 @@ def _decoded(data: bytes, name: Path | str) -> Image.Image:
             image.verify()
             image = _opened(io.BytesIO(data), name)
         image.load()
-    except _DECODING_ERRORS as error:
+    except DECODING_ERRORS as error:
         raise InputError(name, f"is a damaged or truncated image ({reason_of(error)})") from error
     return image

@@ -1,4 +1,6 @@
-"""A scene model as a COLMAP project: ``images/`` as stored, ``sparse/`` with cameras and poses.
+"""A scene model as a COLMAP project: ``images/``, and ``sparse/`` with cameras and poses.
+
+Photos are written as stored; those of compact scenes as PNG, since few such programs read WebP.
 
 The scene model keeps no sparse points, so the model has none; programs that want some triangulate
 them from the known poses.
@@ -13,6 +15,7 @@ import numpy as np
 
 from pipelines.artifacts.atomic import atomic_folder, check_output
 from pipelines.artifacts.errors import InputError, quoted
+from pipelines.dataset.images import encode_png
 from pipelines.geometry.pose import inverse
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_scene
@@ -31,12 +34,14 @@ class ColmapExportSummary:
     images: int
     cameras: int
     image_bytes: int
+    are_recorded: bool
 
     def table(self) -> list[tuple[str, ...]]:
         """Rows for people."""
+        kind = "as recorded" if self.are_recorded else "PNG of the compact photos"
         return [
             ("COLMAP project", str(self.output)),
-            ("images", f"{self.images} ({self.image_bytes / 1e6:.1f} MB as recorded)"),
+            ("images", f"{self.images} ({self.image_bytes / 1e6:.1f} MB {kind})"),
             ("cameras", str(self.cameras)),
             ("model", f"{self.output / MODEL_FOLDER} (poses, no points)"),
         ]
@@ -67,8 +72,12 @@ def export_scene_to_colmap(scene_path: Path, output: Path, overwrite: bool) -> C
     check_output(output, overwrite, RECORD_NAME)
     scene = load_scene(scene_path)
     names = _file_names(scene_path, scene)
+    size = 0
     with atomic_folder(output, overwrite, RECORD_NAME) as folder:
-        for name, data in zip(names, scene.encoded_images, strict=True):
+        for index, name in enumerate(names):
+            is_recorded = scene.compaction is None
+            data = scene.encoded_images[index] if is_recorded else encode_png(scene.image(index))
+            size += len(data)
             target = folder / IMAGE_FOLDER / name
             target.parent.mkdir(parents=True, exist_ok=True)
             target.write_bytes(data)
@@ -83,8 +92,9 @@ def export_scene_to_colmap(scene_path: Path, output: Path, overwrite: bool) -> C
         }
         text = json.dumps(record, indent=2, allow_nan=False) + "\n"
         (folder / RECORD_NAME).write_text(text, encoding="utf-8")
-    size = sum(len(data) for data in scene.encoded_images)
-    return ColmapExportSummary(output, len(names), len(scene.cameras), size)
+    return ColmapExportSummary(
+        output, len(names), len(scene.cameras), size, scene.compaction is None
+    )
 
 
 def _file_names(path: Path, scene: Scene) -> tuple[str, ...]:
@@ -95,7 +105,7 @@ def _file_names(path: Path, scene: Scene) -> tuple[str, ...]:
         is_safe = bool(relative.parts) and not relative.is_absolute() and name.isprintable()
         if not is_safe or ".." in relative.parts:
             raise InputError(path, f"a view is called {quoted(name)}, which is no file name")
-        names.append(str(relative))
+        names.append(str(relative if scene.compaction is None else relative.with_suffix(".png")))
     if len(set(names)) != len(names):
         raise InputError(path, "two views have the same name")
     folders = {str(parent) for name in names for parent in PurePosixPath(name).parents}

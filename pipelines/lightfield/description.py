@@ -42,6 +42,7 @@ class SceneSummary:
             ("views", _views_text(facts)),
             ("cameras", cameras_text(self.scene.cameras)),
             ("depth maps", _depth_text(facts["depth"])),
+            ("storage", _storage_text(facts)),
             *_plane_rows(plane),
             ("area", "x {:.2f} to {:.2f} m, y {:.2f} to {:.2f} m".format(*bounds)),
             *_ground_rows(facts["free_ground_m2"]),
@@ -61,6 +62,7 @@ class SceneSummary:
             "views": len(scene),
             "left_out": list(self.left_out),
             "image_megabytes": sum(map(len, scene.encoded_images)) / 1e6,
+            "storage": _storage_facts(scene),
             "cameras": [f"{c.model} {c.width}x{c.height}" for c in scene.cameras],
             "plane": None if scene.surface is None else _plane_facts(scene.surface),
             "depth": _depth_facts(scene),
@@ -95,7 +97,8 @@ def summary_of(path: Path, scene: Scene) -> SceneSummary:
 
 
 def _views_text(facts: dict[str, Any]) -> str:
-    text = f"{facts['views']} ({facts['image_megabytes']:.1f} MB as recorded)"
+    kind = "as recorded" if facts["storage"]["kind"] == "full" else "compact"
+    text = f"{facts['views']} ({facts['image_megabytes']:.1f} MB {kind})"
     if not facts["left_out"]:
         return text
     total = facts["views"] + len(facts["left_out"])
@@ -121,6 +124,36 @@ def _plane_rows(plane: dict[str, Any] | None) -> list[tuple[str, str]]:
 
 def _ground_rows(square_metres: float | None) -> list[tuple[str, str]]:
     return [] if square_metres is None else [("free ground", f"{square_metres:.1f} m\u00b2 of it")]
+
+
+def _storage_facts(scene: Scene) -> dict[str, Any]:
+    """Full or compact storage, bytes of a view's photo, and what compact storage lost."""
+    stored = sum(map(len, scene.encoded_images))
+    facts: dict[str, Any] = {"kind": "full", "photo_bytes_per_view": stored / len(scene)}
+    if scene.compaction is None:
+        return facts
+    recorded = scene.compaction.recorded_bytes
+    return {
+        **facts,
+        "kind": "compact",
+        "recorded_photo_bytes_per_view": recorded / len(scene),
+        "photo_psnr_db": scene.compaction.photo_psnr,
+        "depth_error": scene.compaction.depth_error,
+    }
+
+
+def _storage_text(facts: dict[str, Any]) -> str:
+    storage = facts["storage"]
+    if storage["kind"] == "full":
+        return "full: photos as recorded"
+    stored, recorded = storage["photo_bytes_per_view"], storage["recorded_photo_bytes_per_view"]
+    text = (
+        f"compact: {stored / 1e3:.1f} kB a photo (as recorded {recorded / 1e3:.1f} kB), "
+        f"{storage['photo_psnr_db']:.1f} dB against the recorded ones of this size"
+    )
+    if storage["depth_error"] is None:
+        return text
+    return f"{text}; depth to {storage['depth_error']:.2%}"
 
 
 def _depth_facts(scene: Scene) -> dict[str, Any] | None:

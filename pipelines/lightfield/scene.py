@@ -18,6 +18,7 @@ from pipelines.artifacts.arrays import (
 )
 from pipelines.artifacts.errors import InputError, StageError
 from pipelines.dataset.images import decode_image
+from pipelines.dataset.webp import decode_webp
 from pipelines.geometry.camera import Camera
 from pipelines.geometry.plane import Plane
 from pipelines.lightfield.free_ground import FreeGround
@@ -57,6 +58,21 @@ class SceneDepth:
 
 
 @dataclass(frozen=True)
+class Compaction:
+    """What compact storage took from a scene (``lightfield.compact``).
+
+    Attributes:
+        recorded_bytes: of the photos' files as recorded, all together.
+        photo_psnr: of the stored photos against the recorded ones at the stored size, dB.
+        depth_error: median relative error of depth by quantisation; None without depth maps.
+    """
+
+    recorded_bytes: int
+    photo_psnr: float
+    depth_error: float | None
+
+
+@dataclass(frozen=True)
 class Scene:
     """A light field of N views (Heigl, Denzler, Niemann 2001, section 2).
 
@@ -65,7 +81,7 @@ class Scene:
 
     Attributes:
         image_names: N names, for people.
-        encoded_images: N JPEG or PNG files as recorded.
+        encoded_images: N JPEG or PNG files as recorded, or WebP in compact storage.
         timestamps: ``(N,)`` seconds.
         cameras: the cameras that took them.
         camera_index: ``(N,)`` index into ``cameras``.
@@ -80,6 +96,7 @@ class Scene:
         identifier: hash of the content; a run names the scene that it belongs to by it.
         depth: a depth map a view; empty where the plane is all that is known of the surface.
         ground: the part of ``bounds`` that the surface leaves free; None: all of it.
+        compaction: what compact storage lost; None: nothing, photos are as recorded.
     """
 
     image_names: tuple[str, ...]
@@ -95,6 +112,7 @@ class Scene:
     identifier: str
     depth: tuple[SceneDepth, ...] = ()
     ground: FreeGround | None = None
+    compaction: Compaction | None = None
 
     def __len__(self) -> int:
         return len(self.image_names)
@@ -133,14 +151,15 @@ class Scene:
             index: of the view, from 0.
 
         Returns:
-            ``(height, width, 3)`` RGB, 8 bits, as recorded (not undistorted).
+            ``(height, width, 3)`` RGB, 8 bits, as recorded (not undistorted), or as stored compact.
 
         Raises:
             OptionError: no such view.
             InputError: the stored photo cannot be decoded or has another size than its camera.
         """
         camera = self.camera_of(index)
-        image = decode_image(self.encoded_images[index], self.image_names[index])
+        decode = decode_image if self.compaction is None else decode_webp
+        image = decode(self.encoded_images[index], self.image_names[index])
         if image.shape[:2] != (camera.height, camera.width):
             raise InputError(
                 self.image_names[index],

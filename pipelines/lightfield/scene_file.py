@@ -7,15 +7,21 @@ also, for each view, ``depth/000000/inverse`` (16 bits; times ``depth/000000/sca
 unknown) and ``depth/000000/confident``. Without a plane also the free ground: ``ground/cells``,
 ``ground/corner`` and ``ground/cell``.
 
-A scene without a plane is written as schema 2, any other one as schema 1.
+A scene in compact storage holds WebP files as its photos, and of depth maps, in the place of
+``inverse``, its ``differences`` (``depth_coding``) and, in the place of ``confident``, its bits,
+eight pixels a byte, row by row.
+
+A scene without a plane, or in compact storage, is written as schema 2, any other one as schema 1.
 """
 
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,14 +40,18 @@ from pipelines.artifacts.safe_hdf5 import (
     write_schema,
 )
 from pipelines.dataset.images import image_header
+from pipelines.dataset.webp import check_webp, webp_header
 from pipelines.geometry.camera import Camera, camera_from_dict
 from pipelines.geometry.plane import Plane, plane_from_coefficients
 from pipelines.geometry.pose import are_rigid
+from pipelines.lightfield.depth_coding import differences_of, levels_of
 from pipelines.lightfield.free_ground import FreeGround
-from pipelines.lightfield.scene import PlaneEstimate, Scene, SceneDepth
+from pipelines.lightfield.scene import Compaction, PlaneEstimate, Scene, SceneDepth
 
 FORMAT = "lfnav scene"
 SCHEMA_VERSION = 2
+# Inverse depth is stored in at most so many levels.
+FULL_LEVELS, COMPACT_LEVELS = 65535, 1023
 MAX_IMAGE_BYTES = 256 * 1024 * 1024
 # What JSON of another structure than expected leads to.
 _MALFORMED = (KeyError, TypeError, ValueError, AttributeError, OverflowError, OptionError)
@@ -68,6 +78,7 @@ def save_scene(
     path = checked_path(path, "the scene's path")
     checked_instance(scene, "the scene", Scene)
     with create_hdf5(path, overwrite) as file:
+        is_full = scene.compaction is None
         write_schema(file, FORMAT, _schema_of(scene))
         write_json(file, "scene", {**_description(scene), "provenance": dict(provenance or {})})
         write_array(file, "timestamps", scene.timestamps)
@@ -83,10 +94,7 @@ def save_scene(
         for index, data in enumerate(scene.encoded_images):
             write_array(file, f"images/{index:06d}", np.frombuffer(data, dtype=np.uint8))
         for index, depth in enumerate(scene.depth):
-            levels, scale = quantised(depth.inverse_depth)
-            write_array(file, f"depth/{index:06d}/inverse", levels, compress=True)
-            write_array(file, f"depth/{index:06d}/scale", np.float64(scale))
-            write_array(file, f"depth/{index:06d}/confident", depth.confident, compress=True)
+            _write_depth(file, f"depth/{index:06d}", depth, is_full)
 
 
 def load_scene(path: PathLike) -> Scene:
@@ -98,6 +106,7 @@ def load_scene(path: PathLike) -> Scene:
     Raises:
         InputError: missing, not a scene, damaged, of a newer schema, or with contents that
             contradict each other.
+        StageError: in compact storage, and Pillow was built without WebP.
         OptionError: ``path`` is no path.
     """
     path = checked_path(path, "the scene's path")
@@ -139,18 +148,22 @@ def scene_identifier(path: Path) -> str:
         return JsonFields(path, file.read_json("scene")).get("identifier", str)
 
 
-def quantised(inverse_depth: Float32Array) -> tuple[NDArray[np.uint16], float]:
-    """Inverse depth in 16 bits, and the factor that turns them back into 1 / metres.
+def quantised(
+    inverse_depth: Float32Array, most: int = FULL_LEVELS
+) -> tuple[NDArray[np.uint16], float]:
+    """Inverse depth in levels of at most ``most``, and the factor that makes 1 / metres of them.
 
     The factor is a power of two: what was read is written again as the same bytes.
     """
-    scale = 2.0 ** math.ceil(math.log2(max(float(inverse_depth.max()), 1e-9) / 65535.0))
+    scale = 2.0 ** math.ceil(math.log2(max(float(inverse_depth.max()), 1e-9) / most))
     return np.rint(inverse_depth / scale).astype(np.uint16), scale
 
 
-def as_stored(inverse_depth: Float32Array, confident: BoolArray) -> SceneDepth:
-    """A depth map rounded to what the file keeps of it."""
-    levels, scale = quantised(inverse_depth)
+def as_stored(
+    inverse_depth: Float32Array, confident: BoolArray, most: int = FULL_LEVELS
+) -> SceneDepth:
+    """A depth map rounded to what the file keeps of it, in levels of at most ``most``."""
+    levels, scale = quantised(inverse_depth, most)
     return SceneDepth((levels * scale).astype(np.float32), confident)
 
 
@@ -182,19 +195,36 @@ def identifier_of(
     return digest.hexdigest()
 
 
+def _write_depth(file: h5py.File, group: str, depth: SceneDepth, is_full: bool) -> None:
+    levels, scale = quantised(depth.inverse_depth, FULL_LEVELS if is_full else COMPACT_LEVELS)
+    if is_full:
+        write_array(file, f"{group}/inverse", levels, compress=True)
+    else:
+        write_array(file, f"{group}/differences", differences_of(levels), compress=True)
+    write_array(file, f"{group}/scale", np.float64(scale))
+    if is_full:
+        write_array(file, f"{group}/confident", depth.confident, compress=True)
+    else:
+        write_array(file, f"{group}/confident_bits", np.packbits(depth.confident), compress=True)
+
+
 def _description(scene: Scene) -> dict[str, Any]:
-    return {
+    description = {
         "image_names": list(scene.image_names),
         "cameras": [camera.to_dict() for camera in scene.cameras],
         "surface": None if scene.surface is None else _surface_description(scene.surface),
         "scale_source": scene.scale_source,
         "identifier": scene.identifier,
     }
+    if scene.compaction is not None:
+        description["compaction"] = asdict(scene.compaction)
+    return description
 
 
 def _schema_of(scene: Scene) -> int:
     """The oldest schema that holds a scene, so that older programs read what they can show."""
-    return 1 if scene.surface is not None and scene.ground is None else SCHEMA_VERSION
+    is_first = scene.surface is not None and scene.ground is None and scene.compaction is None
+    return 1 if is_first else SCHEMA_VERSION
 
 
 def _surface_description(surface: PlaneEstimate) -> dict[str, Any]:
@@ -210,6 +240,7 @@ def _surface_description(surface: PlaneEstimate) -> dict[str, Any]:
 def _scene_of(file: SafeFile, description: Any) -> Scene:
     names = tuple(str(name) for name in description["image_names"])
     count = len(names)
+    compaction = _compaction_of(description.get("compaction"))
     base_from_camera = None
     if file.has("base_from_camera"):
         base_from_camera = file.read_array("base_from_camera", dtype_kind="f", shape=(4, 4))
@@ -230,8 +261,9 @@ def _scene_of(file: SafeFile, description: Any) -> Scene:
         bounds=file.read_array("bounds", dtype_kind="f", shape=(4,)),
         scale_source=str(description["scale_source"]),
         identifier=str(description["identifier"]),
-        depth=_depth_of(file, count),
+        depth=_depth_of(file, count, compaction is None),
         ground=_ground_of(file),
+        compaction=compaction,
     )
 
 
@@ -257,20 +289,49 @@ def _ground_of(file: SafeFile) -> FreeGround | None:
     )
 
 
-def _depth_of(file: SafeFile, count: int) -> tuple[SceneDepth, ...]:
+def _compaction_of(stored: Any) -> Compaction | None:
+    """What compact storage lost; None where the storage is full."""
+    if stored is None:
+        return None
+    error = stored["depth_error"]
+    found = Compaction(
+        int(stored["recorded_bytes"]),
+        float(stored["photo_psnr"]),
+        None if error is None else float(error),
+    )
+    if found.recorded_bytes < 0 or not np.all(np.isfinite([found.photo_psnr, error or 0.0])):
+        raise ValueError("the losses of compact storage are no numbers")
+    return found
+
+
+def _depth_of(file: SafeFile, count: int, is_full: bool) -> tuple[SceneDepth, ...]:
     """The depth maps of all views; none where the file has none."""
     if not file.has("depth"):
         return ()
     maps = []
     for index in range(count):
         group = f"depth/{index:06d}"
-        levels = file.read_array(f"{group}/inverse", dtype_kind="u", shape=(None, None))
-        confident = file.read_array(f"{group}/confident", dtype_kind="b", shape=levels.shape)
+        levels, confident = _levels_of(file, group, is_full)
         scale = float(file.read_array(f"{group}/scale", dtype_kind="f", shape=()))
         if not (np.isfinite(scale) and scale > 0.0) or levels.size == 0 or not levels.any():
             raise InputError(file.path, f"{group} holds no depth")
         maps.append(SceneDepth((levels * scale).astype(np.float32), confident))
     return tuple(maps)
+
+
+def _levels_of(file: SafeFile, group: str, is_full: bool) -> tuple[NDArray[np.uint16], BoolArray]:
+    """Levels of inverse depth and where they are confident, both ``(h, w)``."""
+    if is_full:
+        levels = file.read_array(f"{group}/inverse", dtype_kind="u", shape=(None, None))
+        return levels, file.read_array(f"{group}/confident", dtype_kind="b", shape=levels.shape)
+    stored = file.read_array(f"{group}/differences", dtype_kind="u", shape=(None, None))
+    if stored.dtype != np.uint16:
+        raise InputError(file.path, f"{group}/differences has type {stored.dtype}, not uint16")
+    bits = file.read_array(f"{group}/confident_bits", dtype_kind="u", shape=(-(-stored.size // 8),))
+    if bits.dtype != np.uint8:
+        raise InputError(file.path, f"{group}/confident_bits has type {bits.dtype}, not uint8")
+    confident = np.unpackbits(bits, count=stored.size).reshape(stored.shape)
+    return levels_of(stored), confident.astype(np.bool_)
 
 
 def _stored_plane(coefficients: Any) -> Plane:
@@ -301,8 +362,12 @@ def _check(path: Path, scene: Scene) -> None:
     low_x, high_x, low_y, high_y = scene.bounds
     if not np.all(np.isfinite(scene.bounds)) or low_x >= high_x or low_y >= high_y:
         raise InputError(path, "has bounds that enclose no area")
+    header_of = image_header
+    if scene.compaction is not None:
+        check_webp()
+        header_of = webp_header
     for index, data in enumerate(scene.encoded_images):
-        header, camera = image_header(data, path), scene.camera_of(index)
+        header, camera = header_of(data, path), scene.camera_of(index)
         if (header.width, header.height) != (camera.width, camera.height):
             raise InputError(path, f"photo {index} and its camera differ in size")
     actual = identifier_of(

@@ -108,7 +108,7 @@ def _on_disk(path: Path, scene: Scene) -> dict[str, int]:
         depth = sum(
             file.stored_bytes(f"depth/{index:06d}/{name}")
             for index in range(len(scene.depth))
-            for name in ("inverse", "confident", "scale")
+            for name in file.names(f"depth/{index:06d}")
         )
     try:
         total = path.stat().st_size

@@ -20,8 +20,10 @@ from pipelines.artifacts.errors import InputError, StageError
 from pipelines.artifacts.provenance import provenance, sha256_of_bytes, sha256_of_file
 from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.dataset.images import decode_image, read_image_bytes
+from pipelines.dataset.webp import check_webp
 from pipelines.geometry.camera import Intrinsics, Undistorter
 from pipelines.geometry.plane import plane_from_coefficients
+from pipelines.lightfield.compact import STORAGES, compact_scene
 from pipelines.lightfield.depth_maps import (
     depth_from_photos,
     discard_finished,
@@ -72,10 +74,12 @@ class ModelSettings:
         seed: of the random samples in the estimation from points.
         max_views: how many photos the model may hold: those that together show best what all of
             them show; None: all.
+        storage: ``full``: photos as recorded; ``compact``: as small as localization and docking
+            allow.
 
     Raises:
-        OptionError: an unknown geometry, a model without photos, a plane that is none, or a value
-            of another type.
+        OptionError: an unknown geometry or storage, a model without photos, a plane that is none,
+            or a value of another type.
     """
 
     geometry: str = "plane"
@@ -84,6 +88,7 @@ class ModelSettings:
     images: Path | None = None
     seed: int = 0
     max_views: int | None = None
+    storage: str = "full"
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -94,6 +99,7 @@ class ModelSettings:
         checked_number(self.seed, "seed", 0, whole=True)
         checked_choice(self.geometry, "geometry", GEOMETRIES)
         checked_choice(self.depth, "depth", DEPTH_SOURCES)
+        checked_choice(self.storage, "storage", STORAGES)
 
     @property
     def takes_depth(self) -> bool:
@@ -163,12 +169,15 @@ def build_scene(
 
     Raises:
         InputError: a photo is missing, or is not the one that was reconstructed.
-        StageError: no plane can be estimated.
+        StageError: no plane can be estimated, or Pillow cannot write compact photos.
         OptionError: an argument of another type.
     """
     settings = ModelSettings() if settings is None else settings
     checked_instance(source, "the reconstruction", Reconstruction)
     checked_instance(settings, "settings", ModelSettings)
+    if settings.storage == "compact":
+        # Before anything takes long.
+        check_webp()
     root = settings.images if settings.images is not None else source.image_root
     images = _read_photos(source, root)
     needs_photos = settings.geometry == "depth" and not settings.takes_depth
@@ -195,7 +204,7 @@ def build_scene(
     else:
         cameras = [source.cameras[int(index)] for index in source.camera_index]
         ground, bounds = None, covered_bounds(source.world_from_camera, cameras, surface.plane)
-    return Scene(
+    scene = Scene(
         image_names=source.image_names,
         encoded_images=images,
         timestamps=source.timestamps,
@@ -218,6 +227,7 @@ def build_scene(
         depth=depth,
         ground=ground,
     )
+    return compact_scene(scene, progress) if settings.storage == "compact" else scene
 
 
 def _read_photos(source: Reconstruction, root: Path) -> tuple[bytes, ...]:

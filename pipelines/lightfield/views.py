@@ -252,11 +252,11 @@ def views_of_scene(
 
     found = progress(in_threads(view, range(len(scene))), "decode views", len(scene))
     images, intrinsics = zip(*found, strict=True)
-    depths = [_shrunk_depth(depth.inverse_depth, largest_side) for depth in scene.depth]
+    depths = [shrunk_depth(depth.inverse_depth, largest_side) for depth in scene.depth]
     return build_views(images, intrinsics, scene.world_from_camera, depths or None)
 
 
-def _shrunk_depth(inverse_depth: Float32Array, largest_side: int | None) -> Float32Array:
+def shrunk_depth(inverse_depth: Float32Array, largest_side: int | None) -> Float32Array:
     """A depth map of at most so many pixels a side; no means, since these lie on no surface."""
     height, width = inverse_depth.shape
     size = shrunk_size(width, height, largest_side)

@@ -170,6 +170,12 @@ def _images_of_views(
             "holds no points; only structure from motion makes some",
             "leave out --reconstruction to use the scene's own surface",
         )
+    if scene.compaction is not None:
+        raise InputError(
+            path,
+            "has its points in the recorded photos, which a scene in compact storage does not hold",
+            "make the scene with --storage full, or leave out --reconstruction",
+        )
     by_hash = {digest: index for index, digest in enumerate(reconstruction.image_hashes)}
     images = tuple(by_hash.get(sha256_of_bytes(photo)) for photo in scene.encoded_images)
     pairs = [(view, image) for view, image in enumerate(images) if image is not None]

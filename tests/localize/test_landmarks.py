@@ -12,6 +12,7 @@ from pipelines.artifacts.provenance import sha256_of_bytes
 from pipelines.geometry.camera import Camera, Intrinsics, Undistorter
 from pipelines.geometry.plane import Plane
 from pipelines.geometry.pose import inverse
+from pipelines.lightfield.compact import compact_scene
 from pipelines.lightfield.scene import Scene, SceneDepth
 from pipelines.localize.landmarks import LandmarkSource, depth_at, plane_depth_at
 from pipelines.reconstruct.reconstruction import Reconstruction
@@ -164,6 +165,14 @@ def test_features_at_observed_points_are_those_points() -> None:
     np.testing.assert_array_equal(found.rows, [0, 2])
     np.testing.assert_array_equal(found.points, POINTS[[1, 0]])
     assert len(source.landmarks(1, PIXELS).rows) == 0
+
+
+def test_points_of_recorded_photos_do_not_fit_compact_ones() -> None:
+    scene = compact_scene(wall_scene())
+    with pytest.raises(InputError, match=r"map: has its points in the recorded photos, .*full"):
+        LandmarkSource(scene, reconstruction_of(wall_scene(), POINTS, PIXELS), "map")
+    # The scene's own surface serves as before.
+    assert len(LandmarkSource(scene, None).landmarks(0, PIXELS).rows) == 2
 
 
 def test_a_reconstruction_of_something_else_is_refused() -> None:

@@ -126,6 +126,27 @@ def test_model_with_a_given_plane(
     assert str(tmp_path) not in json.dumps(record)
 
 
+def test_model_in_compact_storage(
+    reconstruction: Path, scene_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = tmp_path / "compact.h5"
+    options = ("--plane", "0,1,0,0", "--storage", "compact", "--json")
+    assert lfnav("model", reconstruction, "-o", target, *options) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["storage"]["kind"] == "compact"
+    assert facts["storage"]["photo_psnr_db"] > 35.0
+    assert target.stat().st_size < 0.15 * scene_path.stat().st_size
+    assert scene_provenance(target)["settings"]["storage"] == "compact"
+    assert lfnav("info", target) == 0
+    assert "compact: " in capsys.readouterr().out
+    # Whatever works with a scene works with this one.
+    assert lfnav("evaluate", target, "--dataset", SAMPLES / "test", "--json") == 0
+    compact = json.loads(capsys.readouterr().out)
+    assert lfnav("evaluate", scene_path, "--dataset", SAMPLES / "test", "--json") == 0
+    full = json.loads(capsys.readouterr().out)
+    assert compact["psnr_db"]["mean"] > full["psnr_db"]["mean"] - 0.5
+
+
 def test_model_is_the_same_again(reconstruction: Path, scene_path: Path, tmp_path: Path) -> None:
     target = tmp_path / "again.h5"
     assert lfnav("model", reconstruction, "-o", target, "--plane", "0,1,0,0", "--quiet") == 0
