@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-MAX_MODULE_LINES = 450
+MIN_MODULE_LINES, MAX_MODULE_LINES = 40, 450
 
 # A package imports only from floors below its own.
 FLOORS = {
@@ -261,7 +261,10 @@ def test_the_check_of_the_public_package_sees_more(source: str) -> None:
 
 @pytest.mark.parametrize("path", PIPELINES + FRONT_DOOR + PUBLIC + NATIVE, ids=name_of)
 def test_modules_are_of_a_readable_size(path: Path) -> None:
-    assert len(path.read_text().splitlines()) <= MAX_MODULE_LINES
+    lines = len(path.read_text().splitlines())
+    assert lines <= MAX_MODULE_LINES
+    # What is shorter serves the concept of another module, and stands there.
+    assert lines >= MIN_MODULE_LINES or path.stem == "__init__" or path.suffix != ".py"
 
 
 @every_native_file

@@ -8,7 +8,7 @@ unknown) and ``depth/000000/confident``. Without a plane also the free ground: `
 ``ground/corner`` and ``ground/cell``.
 
 A scene in compact storage holds WebP files as its photos, and of depth maps, in the place of
-``inverse``, its ``differences`` (``depth_coding``) and, in the place of ``confident``, its bits,
+``inverse``, its ``differences`` (``differences_of``) and, in the place of ``confident``, its bits,
 eight pixels a byte, row by row.
 
 A scene without a plane, or in compact storage, is written as schema 2, any other one as schema 1.
@@ -44,7 +44,6 @@ from pipelines.dataset.webp import check_webp, webp_header
 from pipelines.geometry.camera import Camera, camera_from_dict
 from pipelines.geometry.plane import Plane, plane_from_coefficients
 from pipelines.geometry.pose import are_rigid
-from pipelines.lightfield.depth_coding import differences_of, levels_of
 from pipelines.lightfield.free_ground import FreeGround
 from pipelines.lightfield.scene import Compaction, PlaneEstimate, Scene, SceneDepth
 
@@ -389,3 +388,27 @@ def _finite_or_none(value: float) -> float | None:
 
 def _or_infinite(value: float | None) -> float:
     return float("inf") if value is None else float(value)
+
+
+def differences_of(levels: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    """What a plane through the pixels on the left, above and diagonally above fails to predict.
+
+    On surfaces that are flat in space inverse depth is linear in the image, so that nearly all
+    that is left is small. Signs alternate (0, -1, 1, -2, ...) so that small numbers have small
+    bytes; arithmetic is modulo 2^16 and loses nothing.
+
+    Args:
+        levels: ``(h, w)``.
+
+    Returns:
+        ``(h, w)``; ``levels_of`` turns it back.
+    """
+    zero = np.uint16(0)
+    signed = np.diff(np.diff(levels, axis=0, prepend=zero), axis=1, prepend=zero).view(np.int16)
+    return ((signed << 1) ^ (signed >> 15)).view(np.uint16)
+
+
+def levels_of(differences: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    """The levels ``(h, w)`` of which ``differences_of`` made these."""
+    wrapped = (differences >> 1) ^ (np.uint16(0) - (differences & 1))
+    return np.cumsum(np.cumsum(wrapped, axis=1, dtype=np.uint16), axis=0, dtype=np.uint16)

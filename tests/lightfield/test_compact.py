@@ -23,16 +23,21 @@ from pipelines.dataset.images import decode_image, encode_jpeg, encode_png
 from pipelines.dataset.webp import encode_webp, webp_header
 from pipelines.geometry.camera import Camera
 from pipelines.lightfield.colmap_export import export_scene_to_colmap
-from pipelines.lightfield.compact import PHOTO_SIDE, compact_scene
-from pipelines.lightfield.depth_coding import differences_of, levels_of
+from pipelines.lightfield.compact import DEPTH_SIDE, PHOTO_SIDE, compact_scene
 from pipelines.lightfield.description import describe_scene
 from pipelines.lightfield.scene import Scene, SceneDepth
-from pipelines.lightfield.scene_file import as_stored, load_scene, save_scene
+from pipelines.lightfield.scene_file import (
+    as_stored,
+    differences_of,
+    levels_of,
+    load_scene,
+    save_scene,
+)
 from pipelines.lightfield.stage import ModelSettings
 from pipelines.lightfield.views import views_of_scene
 from tests.lightfield.test_scene_file import altered, refusal, saved, small_scene
 
-LENS = Camera("OPENCV", 480, 361, (400.0, 404.0, 241.0, 178.0, -0.12, 0.02, 0.001, -0.002))
+LENS = Camera("OPENCV", 720, 541, (600.0, 606.0, 361.0, 267.0, -0.12, 0.02, 0.001, -0.002))
 SMALL = Camera("SIMPLE_PINHOLE", 60, 45, (50.0, 29.5, 22.0))
 
 
@@ -47,7 +52,7 @@ def photo(camera: Camera) -> np.ndarray[Any, np.dtype[np.uint8]]:
 
 def depth_of(camera: Camera) -> SceneDepth:
     """A slanted wall with a step in it, a hole, and a part that is not confident."""
-    size = (camera.height * 3 // 4, camera.width * 3 // 4)
+    size = (camera.height * 2 // 3, camera.width * 2 // 3)
     rows, columns = np.mgrid[: size[0], : size[1]]
     inverse = 0.3 + 0.0003 * columns + 0.0001 * rows + 0.2 * (columns > size[1] // 2)
     inverse[:3, :4] = 0.0
@@ -73,7 +78,7 @@ def compact(path: Path, has_depth: bool = True) -> Path:
 
 
 @pytest.mark.parametrize("has_depth", [True, False])
-def test_it_shows_what_localization_takes_of_the_recorded_photos(
+def test_it_shows_what_docking_and_localization_take_of_the_recorded_photos(
     tmp_path: Path, has_depth: bool
 ) -> None:
     full = full_scene(has_depth)
@@ -86,6 +91,7 @@ def test_it_shows_what_localization_takes_of_the_recorded_photos(
         assert np.sqrt(np.mean(difference**2)) < 8.0
     np.testing.assert_array_equal(found.arrays.projection, expected.arrays.projection)
     if has_depth:
+        expected = views_of_scene(full, DEPTH_SIDE)
         for view in range(3):
             near, there = expected.depth_map(view), found.depth_map(view)
             # Half a level of the power of two that a thousand of them need.
