@@ -4,8 +4,8 @@ Localization samples photos of 320 pixels a side and docking ones of 640. Dockin
 pixels more than their quality: with sharper colours in 320 or 480 pixels it ends farther from the
 goal. So photos are undistorted, as all renderers use them, area-averaged to the size of docking
 and stored as WebP of low quality; depth maps are reduced to the size of localization, quantised
-more coarsely, and predicted within themselves (``depth_coding``). What that costs is measured in
-``docs/rendering.md``.
+more coarsely, and predicted within themselves (``scene_file.differences_of``). What that costs is
+measured in ``docs/rendering.md``.
 """
 
 import math
