@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.artifacts.errors import InputError, OptionError, quoted
 from pipelines.artifacts.setting import Entry
 from pipelines.artifacts.toml_file import type_name
 
@@ -35,7 +35,7 @@ def read_choices(path: Path, content: Mapping[str, Any], entries: Sequence[Entry
     for section, table in content.items():
         if section not in sections:
             known = ", ".join(f"[{section}]" for section in sections)
-            raise InputError(path, f"unknown key {section!r}", f"known are {known}")
+            raise InputError(path, f"unknown key {quoted(section)}", f"known are {known}")
         if not isinstance(table, dict):
             raise InputError(
                 path, f"{section} is {type_name(table)}, expected a table", f"write [{section}]"
@@ -46,7 +46,8 @@ def read_choices(path: Path, content: Mapping[str, Any], entries: Sequence[Entry
             # A misspelt key would otherwise be ignored in silence.
             if name not in understood:
                 known = ", ".join(entry.name for entry in own)
-                raise InputError(path, f"unknown key {name!r} in [{section}]", f"known are {known}")
+                reason = f"unknown key {quoted(name)} in [{section}]"
+                raise InputError(path, reason, f"known are {known}")
     chosen = {}
     for entry in entries:
         table = content.get(entry.setting.section, {})

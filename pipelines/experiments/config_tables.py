@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.artifacts.errors import InputError, OptionError, quoted
 from pipelines.artifacts.toml_file import type_name
 
 MAX_RUNS = 100_000
@@ -29,7 +29,7 @@ def parse_seeds(text: str) -> tuple[int, ...]:
 
 def _is_seed(text: str) -> bool:
     if not re.fullmatch(r"\s*\d{1,18}\s*", text):
-        raise ValueError(f"{text.strip()!r} is no seed")
+        raise ValueError(f"{quoted(text.strip())} is no seed")
     return True
 
 
@@ -42,7 +42,7 @@ def named_seeds(text: str) -> tuple[int, ...]:
     try:
         return tuple(dict.fromkeys(parse_seeds(text)))
     except ValueError as error:
-        raise OptionError(f"seeds {text!r}: {error}; give 0-19 or 3,4,8") from error
+        raise OptionError(f"seeds {quoted(text)}: {error}; give 0-19 or 3,4,8") from error
 
 
 def read_seeds(path: Path, place: str, table: Mapping[str, Any]) -> tuple[int, ...]:
@@ -88,7 +88,7 @@ def checked_table(path: Path, value: Any, place: str, known: tuple[str, ...]) ->
         raise InputError(path, f"{place} is {type_name(value)}, expected a table")
     for key in value:
         if key not in known:
-            reason = f"unknown key {key!r} in {place}"
+            reason = f"unknown key {quoted(key)} in {place}"
             raise InputError(path, reason, f"known are {', '.join(known)}")
     return value
 

@@ -37,7 +37,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.artifacts.errors import InputError, OptionError, quoted
 from pipelines.artifacts.settings_file import Choices, check_choices, read_choices
 from pipelines.artifacts.toml_file import read_toml
 from pipelines.dataset.dataset import GROUNDTRUTH_FILE
@@ -188,7 +188,7 @@ def _scenes(path: Path, table: Any, others: Mapping[str, Path]) -> dict[str, Pat
         raise InputError(path, "has no [scenes]", 'write [scenes] and name = "scene.h5" below')
     for name in others:
         if name not in table:
-            raise OptionError(f"scene {name!r} is none of {', '.join(table)} in {path}")
+            raise OptionError(f"scene {quoted(name)} is none of {', '.join(table)} in {path}")
     for name in table:
         _text(path, "[scenes]", table, name)
     return {
@@ -200,7 +200,7 @@ def _scenes(path: Path, table: Any, others: Mapping[str, Path]) -> dict[str, Pat
 def _scene(path: Path, place: str, values: Mapping[str, Any], places: Mapping[str, Path]) -> Path:
     name = _text(path, place, values, "scene")
     if name not in places:
-        reason = f"{place}: scene {name!r} is unknown"
+        reason = f"{place}: scene {quoted(name)} is unknown"
         raise InputError(path, reason, f"[scenes] has {', '.join(places)}")
     return places[name]
 
@@ -212,7 +212,7 @@ def _dataset(path: Path, place: str, values: Mapping[str, Any], data: Path | Non
         return absolute_path(path.parent, _text(path, place, values, "path"))
     name = _text(path, place, values, "data")
     if Path(name).is_absolute() or ".." in Path(name).parts:
-        raise InputError(path, f"{place}: data {name!r} leads out of the folder of --data")
+        raise InputError(path, f"{place}: data {quoted(name)} leads out of the folder of --data")
     # Without a folder the path does not exist, and the condition is skipped.
     return absolute_path(path.parent / "no folder is given" if data is None else data, name)
 

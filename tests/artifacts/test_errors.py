@@ -1,6 +1,7 @@
 """What strangers wrote, in messages: one line, without control characters, cut."""
 
 import ast
+import json
 import unicodedata
 from collections.abc import Callable
 from pathlib import Path
@@ -20,12 +21,20 @@ from pipelines.artifacts.errors import (
 from pipelines.artifacts.json_fields import read_json_object
 from pipelines.artifacts.toml_file import read_toml
 from pipelines.dataset.dataset import load_dataset
+from pipelines.experiments.config_tables import named_seeds
 from pipelines.geometry.trajectory import read_tum
+from pipelines.localize.config import effective_settings
 
 MEGABYTES = "9x" * 5_000_000
 # It sets the window's title, clears the screen, and writes another line over the first.
 TERMINAL = "\x1b]0;owned\x07\x1b[2J\x1b[1;31mdone\r\n\u202eall is well\x9b31m"
-HOSTILE = {"long": MEGABYTES, "terminal": TERMINAL, "lines": "a\u2028b\x0bc\x85d"}
+HOSTILE = {
+    "long": MEGABYTES,
+    # Of a file that is not too large to be read.
+    "wide": "x" * 100_000,
+    "terminal": TERMINAL,
+    "lines": "a\u2028b\x0bc\x85d",
+}
 
 
 def is_harmless(text: str) -> bool:
@@ -98,12 +107,22 @@ def json_choice(path: Path) -> object:
     return read_json_object(path, 2**26).choice("model", ("a", "b"))
 
 
+def config(path: Path) -> object:
+    return effective_settings(path, {})
+
+
 READERS: dict[str, Callable[[str], Callable[[Path], object]]] = {
     "timestamp": lambda text: dataset_with(f"{text} rgb/1.png\n"),
     "image name": lambda text: dataset_with(f"1.0 rgb/{text}\n"),
     "image outside": lambda text: dataset_with(f"1.0 ../{text}\n"),
     "pose": lambda text: file_with(read_tum, f"{text} 0 0 0 0 0 0 1\n"),
     "toml": lambda text: file_with(read_toml, f"{text} =\n"),
+    "setting": lambda text: file_with(config, f"[filter]\n{json.dumps(text)} = 1\n"),
+    "section": lambda text: file_with(config, f"[{json.dumps(text)}]\n"),
+    "value of a setting": lambda text: file_with(
+        config, f"[filter]\nstrategy = {json.dumps(text)}\n"
+    ),
+    "seeds": lambda text: lambda _: named_seeds(text),
     "json": lambda text: file_with(json_choice, f'{{"model": {text}}}'),
     "json choice": lambda text: file_with(
         json_choice,
