@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipelines.artifacts.arguments import checked_instance
 from pipelines.artifacts.arrays import BoolArray, Float32Array, ImageArray, Int32Array
 from pipelines.artifacts.errors import OptionError
 from pipelines.geometry.camera import Intrinsics
@@ -84,6 +85,7 @@ def evidence_table(cost: Cost, evidence: PixelEvidence | None) -> Float32Array:
     Raises:
         OptionError: EVIDENCE without a table, or another cost with one.
     """
+    checked_instance(cost, "cost", Cost)
     if (cost is Cost.EVIDENCE) != (evidence is not None):
         raise OptionError("the cost EVIDENCE, and no other, takes a table of evidence")
     if evidence is None:
@@ -187,8 +189,10 @@ def check_query(query: ImageArray | Float32Array, intrinsics: Intrinsics) -> Non
     """Refuses a camera image that is not ``(H, W, 3)`` of its intrinsics.
 
     Raises:
-        OptionError: another size.
+        OptionError: another size, or no image and intrinsics.
     """
+    checked_instance(intrinsics, "intrinsics", Intrinsics)
+    checked_instance(query, "camera image", np.ndarray)
     if query.shape != (intrinsics.height, intrinsics.width, 3):
         raise OptionError(
             f"camera image of shape {query.shape} for intrinsics of "

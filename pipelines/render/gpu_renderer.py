@@ -181,8 +181,9 @@ class GpuRenderer(Renderer):
                 cost with one.
             StageError: the GPU fails.
         """
+        checked_instance(fit_gain, "fit_gain", bool)
         check_query(query, intrinsics)
-        table = evidence_table(checked_instance(cost, "cost", Cost), evidence)
+        table = evidence_table(cost, evidence)
         world_from_camera = checked_array(world_from_camera, "world_from_camera", (None, 4, 4))
         sizes = self._sizes(intrinsics, needs_two_passes(cost, fit_gain))
         photo = photo_of(query)

@@ -291,10 +291,7 @@ class Renderer:
             OptionError: poses that are not finite numbers of this shape, an image of another size
                 than its intrinsics, EVIDENCE without a table, or another cost with one.
         """
-        checked_instance(cost, "cost", Cost)
         checked_instance(fit_gain, "fit_gain", bool)
-        checked_instance(intrinsics, "intrinsics", Intrinsics)
-        checked_instance(query, "camera image", np.ndarray)
         prepared = prepare_query(query, intrinsics, cost, fit_gain, evidence)
         # Of poses by the hundred, that they are rotations is left to whoever made them.
         poses = checked_array(world_from_camera, "world_from_camera", (None, 4, 4))
