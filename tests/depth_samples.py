@@ -1,5 +1,6 @@
 """Photos and exact depth of a board before a wall, as data sets, for tests of scenes with depth."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -7,6 +8,7 @@ import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.dataset.images import encode_png
+from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.trajectory import Trajectory, format_tum
 from tests.lightfield_samples import looking, pinhole, pinhole_rays, pixels_of, waves
 
@@ -33,10 +35,20 @@ def seen(pose: FloatArray) -> tuple[ImageArray, FloatArray]:
 def write_dataset(root: Path, places: list[list[float]]) -> Path:
     """A data set of body = camera with exact poses and depth images."""
     poses = np.array([looking(place, [place[0] * 0.3, 0.0, 1.0]) for place in places])
+    return write_rgbd(root, poses, seen, CAMERA)
+
+
+def write_rgbd(
+    root: Path,
+    poses: FloatArray,
+    view: Callable[[FloatArray], tuple[ImageArray, FloatArray]],
+    camera: Intrinsics,
+) -> Path:
+    """A data set of what is seen, colours and depth, from poses of body = camera ``(N, 4, 4)``."""
     (root / "rgb").mkdir(parents=True)
     (root / "depth").mkdir()
     for index, pose in enumerate(poses):
-        image, depth = seen(pose)
+        image, depth = view(pose)
         (root / f"rgb/{index}.png").write_bytes(encode_png(image))
         levels = np.rint(depth * 5000.0).astype(np.uint16)
         (root / f"depth/{index}.png").write_bytes(cv2.imencode(".png", levels)[1].tobytes())
@@ -46,7 +58,7 @@ def write_dataset(root: Path, places: list[list[float]]) -> Path:
     times = np.arange(len(poses), dtype=np.float64)
     (root / "groundtruth.txt").write_text(format_tum(Trajectory(times, poses)))
     (root / "camera.toml").write_text(
-        f'model = "PINHOLE"\nwidth = {CAMERA.width}\nheight = {CAMERA.height}\n'
-        f"params = {CAMERA.vector().tolist()}\ndepth_scale = 5000\n"
+        f'model = "PINHOLE"\nwidth = {camera.width}\nheight = {camera.height}\n'
+        f"params = {camera.vector().tolist()}\ndepth_scale = 5000\n"
     )
     return root

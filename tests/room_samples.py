@@ -5,13 +5,11 @@ The room is a box. A partition with a doorway divides it; photos are taken in it
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray, ImageArray
-from pipelines.dataset.images import encode_png
-from pipelines.geometry.trajectory import Trajectory, format_tum
 from pipelines.lightfield.scene import SceneDepth
+from tests.depth_samples import write_rgbd
 from tests.lightfield_samples import looking, pinhole, pinhole_rays, pixels_of, waves
 
 CAMERA = pinhole(96, 72, 70.0)
@@ -60,20 +58,4 @@ def exact_depth(poses: FloatArray) -> tuple[SceneDepth, ...]:
 
 def write_dataset(root: Path, poses: FloatArray) -> Path:
     """A data set of a robot whose camera is its body, with exact poses and depth images."""
-    (root / "rgb").mkdir(parents=True)
-    (root / "depth").mkdir()
-    for index, pose in enumerate(poses):
-        image, depth = seen(pose)
-        (root / f"rgb/{index}.png").write_bytes(encode_png(image))
-        levels = np.rint(depth * 5000.0).astype(np.uint16)
-        (root / f"depth/{index}.png").write_bytes(cv2.imencode(".png", levels)[1].tobytes())
-    for kind in ("rgb", "depth"):
-        lines = [f"{index}.0 {kind}/{index}.png" for index in range(len(poses))]
-        (root / f"{kind}.txt").write_text("\n".join(lines) + "\n")
-    times = np.arange(len(poses), dtype=np.float64)
-    (root / "groundtruth.txt").write_text(format_tum(Trajectory(times, poses)))
-    (root / "camera.toml").write_text(
-        f'model = "PINHOLE"\nwidth = {CAMERA.width}\nheight = {CAMERA.height}\n'
-        f"params = {CAMERA.vector().tolist()}\ndepth_scale = 5000\n"
-    )
-    return root
+    return write_rgbd(root, poses, seen, CAMERA)
