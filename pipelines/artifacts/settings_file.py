@@ -61,6 +61,28 @@ def read_choices(path: Path, content: Mapping[str, Any], entries: Sequence[Entry
     return chosen
 
 
+def possible_choices(
+    path: Path,
+    content: Mapping[str, Any],
+    entries: Sequence[Entry],
+    build: Callable[[Choices], object],
+) -> Choices:
+    """The settings that a file's content chooses, which together make settings.
+
+    Args:
+        path: of the file, for errors.
+        content: its tables.
+        entries: the settings that there are.
+        build: makes settings of choices; raises OptionError.
+
+    Raises:
+        InputError: as ``read_choices`` and ``check_choices`` say.
+    """
+    chosen = read_choices(path, content, entries)
+    check_choices(path, chosen, entries, build)
+    return chosen
+
+
 def name_in(path: Path, table: Mapping[str, Any], entry: Entry, place: str) -> str | None:
     """The key of a table that holds a setting, by its name or a former one; None: it has none.
 

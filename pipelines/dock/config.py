@@ -4,7 +4,7 @@ from pathlib import Path
 
 from pipelines.artifacts import settings_file
 from pipelines.artifacts.setting import entries_of
-from pipelines.artifacts.settings_file import Choices, check_choices, read_choices
+from pipelines.artifacts.settings_file import Choices, possible_choices
 from pipelines.artifacts.toml_file import read_toml
 from pipelines.dock.settings import SECTIONS, DockSettings
 from pipelines.localize import config, settings
@@ -29,8 +29,7 @@ def effective_settings(path: Path | None, options: Choices) -> Both:
     """
     chosen: Choices = {}
     if path is not None:
-        chosen = read_choices(path, read_toml(path), ENTRIES)
-        check_choices(path, chosen, ENTRIES, settings_of)
+        chosen = possible_choices(path, read_toml(path), ENTRIES, settings_of)
     return settings_of(config.overridden(chosen, options))
 
 

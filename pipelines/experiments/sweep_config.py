@@ -35,9 +35,8 @@ from typing import Any
 from pipelines.artifacts.errors import InputError, OptionError
 from pipelines.artifacts.settings_file import (
     Choices,
-    check_choices,
     name_in,
-    read_choices,
+    possible_choices,
 )
 from pipelines.artifacts.toml_file import read_toml
 from pipelines.experiments.config_tables import (
@@ -149,8 +148,7 @@ def _settings(
     path: Path, rest: Mapping[str, Any], sweep: Mapping[str, Any], options: Choices
 ) -> tuple[LocalizerSettings, ...]:
     """Every combination of what is varied, on top of what is chosen for all."""
-    base = read_choices(path, rest, ENTRIES)
-    check_choices(path, base, ENTRIES, settings_of)
+    base = possible_choices(path, rest, ENTRIES, settings_of)
     base = overridden(base, options)
     varied: dict[str, list[Any]] = {}
     for entry in VARIED:

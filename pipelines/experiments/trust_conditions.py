@@ -38,7 +38,7 @@ from pathlib import Path
 from typing import Any
 
 from pipelines.artifacts.errors import InputError, OptionError, quoted
-from pipelines.artifacts.settings_file import Choices, check_choices, read_choices
+from pipelines.artifacts.settings_file import Choices, possible_choices, read_choices
 from pipelines.artifacts.toml_file import read_toml
 from pipelines.dataset.dataset import GROUNDTRUTH_FILE
 from pipelines.experiments.config_tables import (
@@ -144,8 +144,7 @@ def read_trust_conditions(
     study = checked_table(path, content.get("study", {}), "[study]", STUDY_KEYS)
     usual = named_seeds(seeds) if seeds is not None else read_seeds(path, "[study]", study)
     channels = _channels(path, study)
-    base = read_choices(path, rest, ENTRIES)
-    check_choices(path, base, ENTRIES, settings_of)
+    base = possible_choices(path, rest, ENTRIES, settings_of)
     places = _scenes(path, content.get("scenes", {}), scenes or {})
     tables = content.get("condition", [])
     if not isinstance(tables, list) or not tables:

@@ -11,7 +11,7 @@ from typing import Any
 
 from pipelines.artifacts import settings_file
 from pipelines.artifacts.setting import Entry, entries_of
-from pipelines.artifacts.settings_file import Choices, check_choices, read_choices
+from pipelines.artifacts.settings_file import Choices, possible_choices
 from pipelines.artifacts.toml_file import read_toml
 from pipelines.localize.likelihood import LIKELIHOODS
 from pipelines.localize.settings import SECTIONS, LocalizerSettings, MotionModel, strategy_defaults
@@ -53,8 +53,7 @@ def effective_settings(path: Path | None, options: Choices) -> LocalizerSettings
     if path is not None:
         content = read_toml(path)
         own = {name: table for name, table in content.items() if name not in FOREIGN_SECTIONS}
-        chosen = read_choices(path, own, ENTRIES)
-        check_choices(path, chosen, ENTRIES, settings_of)
+        chosen = possible_choices(path, own, ENTRIES, settings_of)
     return settings_of(overridden(chosen, options))
 
 
