@@ -9,7 +9,7 @@ import numpy as np
 from pipelines.artifacts.stages import no_progress
 from pipelines.geometry.plane import plane_inverse_depth
 from pipelines.lightfield.scene import Scene, SceneDepth
-from pipelines.lightfield.scene_file import as_stored, identifier_of
+from pipelines.lightfield.scene_file import as_stored, identified
 from pipelines.lightfield.stage import ModelSettings, build_scene
 from pipelines.reconstruct.reconstruction import Reconstruction, load_reconstruction
 from pipelines.reconstruct.stage import ReconstructSettings, reconstruct
@@ -80,17 +80,3 @@ def with_wall_as_depth(scene: Scene) -> Scene:
         inverse = plane_inverse_depth(scene.plane, pose, pinhole.resized(*size))
         maps.append(as_stored(inverse.astype(np.float32), inverse > 0.0))
     return identified(replace(scene, depth=tuple(maps)))
-
-
-def identified(scene: Scene) -> Scene:
-    """The scene with the identifier that its content has."""
-    identifier = identifier_of(
-        scene.encoded_images,
-        scene.cameras,
-        scene.camera_index,
-        scene.world_from_camera,
-        scene.surface,
-        scene.base_from_camera,
-        scene.depth,
-    )
-    return replace(scene, identifier=identifier)

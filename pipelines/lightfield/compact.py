@@ -21,7 +21,7 @@ from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.dataset.webp import decode_webp, encode_webp
 from pipelines.geometry.camera import Camera, Intrinsics, Undistorter
 from pipelines.lightfield.scene import Compaction, Scene, SceneDepth
-from pipelines.lightfield.scene_file import COMPACT_LEVELS, as_stored, identifier_of
+from pipelines.lightfield.scene_file import COMPACT_LEVELS, as_stored, identified
 from pipelines.lightfield.views import shrink, shrunk_depth, shrunk_size
 
 STORAGES = ("full", "compact")
@@ -65,26 +65,18 @@ def compact_scene(scene: Scene, progress: Progress = no_progress) -> Scene:
     depth = tuple(map(_compact_depth, scene.depth))
     cameras = tuple(_pinhole_camera(undistorter.intrinsics) for undistorter in undistorters)
     images = tuple(photo.data for photo in photos)
-    return replace(
+    compact = replace(
         scene,
         encoded_images=images,
         cameras=cameras,
         depth=depth,
-        identifier=identifier_of(
-            images,
-            cameras,
-            scene.camera_index,
-            scene.world_from_camera,
-            scene.surface,
-            scene.base_from_camera,
-            depth,
-        ),
         compaction=Compaction(
             recorded_bytes=sum(map(len, scene.encoded_images)),
             photo_psnr=_psnr([photo.error for photo in photos]),
             depth_error=_depth_error(scene.depth, depth),
         ),
     )
+    return identified(compact)
 
 
 def _pinhole_camera(intrinsics: Intrinsics) -> Camera:

@@ -17,7 +17,7 @@ A scene without a plane, or in compact storage, is written as schema 2, any othe
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -192,6 +192,20 @@ def identifier_of(
         digest.update(np.ascontiguousarray(depth_map.inverse_depth, dtype="<f4").tobytes())
         digest.update(np.ascontiguousarray(depth_map.confident).tobytes())
     return digest.hexdigest()
+
+
+def identified(scene: Scene) -> Scene:
+    """The scene with the identifier that its content has."""
+    identifier = identifier_of(
+        scene.encoded_images,
+        scene.cameras,
+        scene.camera_index,
+        scene.world_from_camera,
+        scene.surface,
+        scene.base_from_camera,
+        scene.depth,
+    )
+    return replace(scene, identifier=identifier)
 
 
 def _write_depth(file: h5py.File, group: str, depth: SceneDepth, is_full: bool) -> None:
@@ -369,16 +383,7 @@ def _check(path: Path, scene: Scene) -> None:
         header, camera = header_of(data, path), scene.camera_of(index)
         if (header.width, header.height) != (camera.width, camera.height):
             raise InputError(path, f"photo {index} and its camera differ in size")
-    actual = identifier_of(
-        scene.encoded_images,
-        scene.cameras,
-        scene.camera_index,
-        scene.world_from_camera,
-        scene.surface,
-        scene.base_from_camera,
-        scene.depth,
-    )
-    if actual != scene.identifier:
+    if identified(scene).identifier != scene.identifier:
         raise InputError(path, "was changed after it was written", "make it again")
 
 

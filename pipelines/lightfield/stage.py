@@ -40,7 +40,7 @@ from pipelines.lightfield.plane_estimation import (
     plane_from_points,
 )
 from pipelines.lightfield.scene import PlaneEstimate, Scene, SceneDepth, covered_bounds
-from pipelines.lightfield.scene_file import identifier_of, save_scene
+from pipelines.lightfield.scene_file import identified, save_scene
 from pipelines.lightfield.stereo_depth import DepthSettings
 from pipelines.lightfield.stereo_neighbours import StandIn
 from pipelines.lightfield.usual_depths import depths_of_maps, depths_of_photos, depths_of_points
@@ -215,19 +215,13 @@ def build_scene(
         base_from_camera=source.base_from_camera,
         bounds=bounds,
         scale_source=source.scale_source,
-        identifier=identifier_of(
-            images,
-            source.cameras,
-            source.camera_index,
-            source.world_from_camera,
-            surface,
-            source.base_from_camera,
-            depth,
-        ),
+        identifier="",
         depth=depth,
         ground=ground,
     )
-    return compact_scene(scene, progress) if settings.storage == "compact" else scene
+    if settings.storage == "compact":
+        return compact_scene(scene, progress)
+    return identified(scene)
 
 
 def _read_photos(source: Reconstruction, root: Path) -> tuple[bytes, ...]:
