@@ -55,6 +55,8 @@ class AreaSettings:
         megabytes: instead of this what such an area may take in memory as ``lfnav localize`` opens
             it.
         jobs: number of processes that build areas at once.
+        scheduler: address of a Dask scheduler, whose workers build the areas instead; they need
+            the same files under the same paths. None: this machine builds them.
 
     Raises:
         OptionError: bounds that contradict each other, are too small, or do not go with a file.
@@ -64,6 +66,7 @@ class AreaSettings:
     views: int | None = None
     megabytes: float | None = None
     jobs: int = 1
+    scheduler: str | None = None
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -76,6 +79,8 @@ class AreaSettings:
         if self.megabytes is not None:
             checked_number(self.megabytes, "--area-memory", 0.0, 1e9)
         checked_number(self.jobs, "--jobs", 1, MAX_JOBS, whole=True)
+        if self.scheduler is not None and self.jobs != 1:
+            raise OptionError("--jobs is for this machine, --scheduler for a cluster")
 
 
 def model_world(
@@ -104,7 +109,8 @@ def model_world(
         InputError: the reconstruction, its photos or the file of areas cannot be used, or the
             output not be written.
         StageError: an area cannot be built.
-        OptionError: an impossible setting, or an argument of another type.
+        OptionError: an impossible setting, no scheduler at the address, or an argument of another
+            type.
     """
     reconstruction = checked_path(reconstruction, "the reconstruction's path")
     output = checked_path(output, "the world's path")
@@ -117,7 +123,7 @@ def model_world(
     division, record = _divided(source, areas, settings)
     building = output.with_name(output.name + BUILDING_SUFFIX)
     tasks = [area_task(building, a.name, source, a.views, settings) for a in division.areas]
-    built = build_areas(tasks, areas.jobs, progress)
+    built = build_areas(tasks, areas.jobs, areas.scheduler, progress)
     inputs = {DESCRIPTION_NAME: sha256_of_file(reconstruction / DESCRIPTION_NAME)}
     world = _index(
         source, division, built, record, provenance("model", plain_options(settings), inputs)

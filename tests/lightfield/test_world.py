@@ -226,6 +226,7 @@ def test_memory_bounds_the_photos_of_an_area(place: Path, tmp_path: Path) -> Non
         ({"views": 100, "megabytes": 10.0}, "exclude each other"),
         ({"file": Path("a.toml"), "views": 100}, "go with --areas auto"),
         ({"jobs": 0}, "--jobs 0 is not between"),
+        ({"jobs": 2, "scheduler": "tcp://127.0.0.1:1"}, "--jobs is for this machine"),
     ],
 )
 def test_silly_settings_are_refused(options: dict[str, object], reason: str) -> None:
@@ -412,7 +413,9 @@ def test_what_takes_one_scene_says_so(
     assert not output.exists()
 
 
-@pytest.mark.parametrize("option", [("--area-views", "100"), ("--jobs", "2")])
+@pytest.mark.parametrize(
+    "option", [("--area-views", "100"), ("--jobs", "2"), ("--scheduler", "tcp://127.0.0.1:1")]
+)
 def test_options_of_worlds_need_areas(place: Path, tmp_path: Path, option: tuple[str, str]) -> None:
     outcome = lfnav("model", place / "map", "-o", tmp_path / "scene.h5", *option)
     assert outcome.code == 2
