@@ -1,5 +1,6 @@
 """The stage ``model --areas``: a reconstruction in, a world out: a light field for each area."""
 
+import logging
 import os
 import shutil
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from pipelines.artifacts.arguments import (
     checked_path,
 )
 from pipelines.artifacts.atomic import atomic_folder, check_output
-from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.artifacts.errors import InputError, OptionError, quoted
 from pipelines.artifacts.kinds import AREA_FOLDER, BUILDING_SUFFIX, WORLD_FILE
 from pipelines.artifacts.provenance import provenance, sha256_of_file
 from pipelines.artifacts.stages import Progress, no_progress
@@ -42,6 +43,8 @@ from pipelines.reconstruct.reconstruction import (
 AUTOMATIC = "auto"
 DEFAULT_AREA_VIEWS = 150
 MAX_JOBS = 1024
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -121,6 +124,7 @@ def model_world(
     check_output(output, overwrite, WORLD_FILE)
     source = load_reconstruction(reconstruction)
     division, record = _divided(source, areas, settings)
+    _tell_left_out(source, division)
     building = output.with_name(output.name + BUILDING_SUFFIX)
     tasks = [area_task(building, a.name, source, a.views, settings) for a in division.areas]
     built = build_areas(tasks, areas.jobs, areas.scheduler, progress)
@@ -135,6 +139,18 @@ def model_world(
         save_index(folder / WORLD_FILE, world)
     shutil.rmtree(building, ignore_errors=True)
     return WorldSummary(output, world)
+
+
+def _tell_left_out(source: Reconstruction, division: Division) -> None:
+    """Says which photos lie outside of all areas of a file."""
+    left_out = np.flatnonzero(division.home < 0)
+    if len(left_out):
+        _log.warning(
+            "%d of %d photos lie outside of all areas and are left out, %s among them",
+            len(left_out),
+            len(division.home),
+            quoted(source.image_names[int(left_out[0])]),
+        )
 
 
 def _divided(

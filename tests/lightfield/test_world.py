@@ -449,3 +449,14 @@ def test_a_map_of_one_room_is_a_world_of_one_area(tmp_path: Path) -> None:
     )
     assert "area-01" in text
     assert "1 areas" not in text
+
+
+def test_photos_outside_of_all_areas_are_named(place: Path, tmp_path: Path) -> None:
+    west = TWO_ROOMS.split("[[area]]")[1]
+    (tmp_path / "west.toml").write_text("[[area]]" + west, encoding="utf-8")
+    options = ("--areas", tmp_path / "west.toml", "--plane", FLOOR)
+    outcome = lfnav("model", place / "map", "-o", tmp_path / "world", *options)
+    assert outcome.code == 0
+    left_out = np.count_nonzero(load_world(tmp_path / "world").home < 0)
+    assert left_out > 0
+    assert f"{left_out} of 224 photos lie outside of all areas" in outcome.err
