@@ -214,7 +214,7 @@ class Localizer:
             track = self._tracker.update(main, observations)
             if track is not None:
                 estimates["refined"] = track.state
-                covariance = track.blur * track.covariance + self._map_covariance
+                covariance = track.stated_covariance + self._map_covariance
                 refined_covariance = covariance
             if track is not None and track.measured is not None:
                 self._strategy.learn(track.measured)
