@@ -25,7 +25,7 @@ from pipelines.lightfield.visual_words import Vocabulary, learn_vocabulary, samp
 # Features of an image, at most: the strongest.
 MAX_FEATURES = 300
 # Pixels a radian: finer images are reduced to this.
-RESOLUTION = 340.0
+RESOLUTION = 260.0
 # An image's feature is looked up in so many words.
 WORDS_LOOKED_UP = 3
 # Signatures that differ in more bits show something else; and how fast a match loses weight.

@@ -7,10 +7,12 @@ import h5py
 import numpy as np
 import pytest
 
-from pipelines.artifacts.arrays import ImageArray
+from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.artifacts.errors import InputError
 from pipelines.artifacts.safe_hdf5 import open_hdf5
+from pipelines.dataset.images import encode_png
 from pipelines.geometry.camera import Camera
+from pipelines.geometry.trajectory import Trajectory, format_tum
 from pipelines.lightfield.area_recognition import (
     AreaRecognition,
     Calibration,
@@ -32,6 +34,9 @@ from pipelines.lightfield.retrieval_index import (
     unit_vectors,
 )
 from pipelines.lightfield.visual_words import learn_vocabulary
+from pipelines.lightfield.world_file import load_recognition, load_world
+from tests.chain_samples import succeed
+from tests.lightfield_samples import looking
 from tests.reconstruct_samples import texture
 
 CAMERA = Camera("SIMPLE_PINHOLE", 240, 180, (220.0, 119.5, 89.5))
@@ -247,6 +252,47 @@ def test_an_area_fits_as_its_best_photo_does() -> None:
     scores = np.array([0.1, 0.5, 0.2, 0.9, 0.3])
     home = np.array([0, 0, 2, -1, 2])
     assert area_fits(scores, home, 3).tolist() == [0.5, 0.0, 0.3]
+
+
+# --- worlds --------------------------------------------------------------------------------------
+
+
+def test_a_world_knows_its_photos_again(walls: list[ImageArray], tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    (data / "rgb").mkdir(parents=True)
+    poses: list[FloatArray] = []
+    for area in range(2):
+        for step, image in enumerate(area_photos(walls[area], area)):
+            name = f"rgb/{len(poses):02d}.png"
+            (data / name).write_bytes(encode_png(image))
+            place = [4.0 * area - 4.0 + 0.4 * step, 0.0, 1.0]
+            poses.append(looking(place, [place[0], 2.0, 1.0]))
+    names = [f"{number}.0 rgb/{number:02d}.png" for number in range(len(poses))]
+    (data / "rgb.txt").write_text("\n".join(names), encoding="utf-8")
+    times = np.arange(len(poses), dtype=np.float64)
+    truth = format_tum(Trajectory(times, np.array(poses)))
+    (data / "groundtruth.txt").write_text(truth, encoding="utf-8")
+    camera = f'model = "{CAMERA.model}"\nwidth = {CAMERA.width}\nheight = {CAMERA.height}\n'
+    camera += f"params = {list(CAMERA.params)}\n"
+    (data / "camera.toml").write_text(camera, encoding="utf-8")
+    given = ("--method", "poses", "--poses", data / "groundtruth.txt")
+    succeed("reconstruct", data, "-o", tmp_path / "map", *given)
+    (tmp_path / "areas.toml").write_text(
+        "\n".join(
+            f'[[area]]\nname = "{name}"\nxmin = {x}\nxmax = {x + 3.5}\nymin = -1\nymax = 1'
+            for name, x in (("west", -4.2), ("east", -0.4))
+        ),
+        encoding="utf-8",
+    )
+    drawn = ("--areas", tmp_path / "areas.toml", "--plane", "0,1,0,-2")
+    succeed("model", tmp_path / "map", "-o", tmp_path / "world", *drawn)
+    world = load_world(tmp_path / "world")
+    recognition = load_recognition(tmp_path / "world", world)
+    for area in range(2):
+        found = recognition.recognise(photo(walls[area], 240.0, 240.0, 0.8), CAMERA)
+        assert int(found.areas.argmax()) == area
+        assert found.areas[area] > 0.8
+        assert world.home[found.photos[0]] == area
 
 
 # --- files ---------------------------------------------------------------------------------------
