@@ -7,12 +7,13 @@ are learnt from the map's photos: each is looked up as if it were a camera image
 photos from around its place, and once without the areas that show the place.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray, ImageArray, IntArray
+from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.geometry.camera import Camera
 from pipelines.lightfield.retrieval_index import (
     PhotoFeatures,
@@ -134,6 +135,7 @@ def learn_recognition(
     positions: FloatArray,
     home: IntArray,
     shown_in: Sequence[IntArray],
+    progress: Progress = no_progress,
 ) -> AreaRecognition:
     """Learns to find the areas of a world from the features of its photos.
 
@@ -142,12 +144,13 @@ def learn_recognition(
         positions: ``(N, 3)`` of all photos, metres.
         home: ``(N,)`` the area in which each is at home; -1: in none.
         shown_in: of each area, the areas that may show what its photos show, itself among them.
+        progress: told how far the work is.
 
     Raises:
         InputError: what a part raises.
     """
     rng = np.random.default_rng(SEED)
-    index = build_retrieval_index(parts, len(home), rng)
+    index = build_retrieval_index(parts, len(home), rng, progress)
     described = np.unique(index.photos)
     described = described[home[described] >= 0]
     count = min(EXAMPLES, len(described))
@@ -158,13 +161,14 @@ def learn_recognition(
         for photo, descriptors in part().items()
         if photo in chosen
     }
-    calibration = calibrate(index, list(examples.items()), positions, home, shown_in)
+    looked_up = progress(examples.items(), "look photos up", len(examples))
+    calibration = calibrate(index, looked_up, positions, home, shown_in)
     return AreaRecognition(index, home, len(shown_in), calibration)
 
 
 def calibrate(
     index: RetrievalIndex,
-    examples: Sequence[tuple[int, ImageArray]],
+    examples: Iterable[tuple[int, ImageArray]],
     positions: FloatArray,
     home: IntArray,
     shown_in: Sequence[IntArray],

@@ -9,6 +9,7 @@ features, which bear other light, another camera and another distance.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import TypeAlias
 
 import cv2
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from pipelines.artifacts.arrays import Float32Array, FloatArray, ImageArray, IntArray
 from pipelines.artifacts.processes import in_threads
+from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.geometry.camera import Camera
 from pipelines.lightfield.local_features import find_features
 from pipelines.lightfield.scene import Scene
@@ -31,6 +33,8 @@ WORDS_LOOKED_UP = 3
 # Signatures that differ in more bits show something else; and how fast a match loses weight.
 MAX_BITS, SIGMA_BITS = 24, 10.0
 WEIGHT_OF_BITS = np.exp(-((np.arange(MAX_BITS + 1) / SIGMA_BITS) ** 2)).astype(np.float32)
+# Photos whose features are put into words together.
+BATCH = 64
 # Descriptors are stored as bytes, in units of this; few of their numbers are above 0.5.
 UNIT = 1.0 / 512.0
 
@@ -121,7 +125,10 @@ def unit_vectors(descriptors: ImageArray) -> Float32Array:
 
 
 def build_retrieval_index(
-    parts: Sequence[Callable[[], PhotoFeatures]], photos: int, rng: np.random.Generator
+    parts: Sequence[Callable[[], PhotoFeatures]],
+    photos: int,
+    rng: np.random.Generator,
+    progress: Progress = no_progress,
 ) -> RetrievalIndex:
     """Learns the vocabulary and fills the index, one part of the map after the other.
 
@@ -130,13 +137,14 @@ def build_retrieval_index(
             no two are held in memory at once. Of a photo in several parts the first counts.
         photos: how many the map has; those in no part have no features.
         rng: chooses what the vocabulary is learnt from.
+        progress: told how far the work is.
 
     Raises:
         InputError: what a part raises.
     """
+    described = {photo: len(descriptors) for photo, descriptors in _each_once(parts)}
     counts = np.zeros(photos, dtype=np.int64)
-    for photo, descriptors in _each_once(parts):
-        counts[photo] = len(descriptors)
+    counts[list(described)] = list(described.values())
     total = int(counts.sum())
     starts = np.append(0, np.cumsum(counts))
     chosen = np.sort(rng.choice(total, sample_size(total), replace=False))
@@ -148,10 +156,12 @@ def build_retrieval_index(
     vocabulary = learn_vocabulary(unit_vectors(sample), total, rng)
     words = np.zeros(total, dtype=np.int32)
     signatures = np.zeros(total, dtype=np.uint64)
-    for photo, descriptors in _each_once(parts):
-        found, signs = vocabulary.quantise(unit_vectors(descriptors))
-        words[starts[photo] : starts[photo + 1]] = found[:, 0]
-        signatures[starts[photo] : starts[photo + 1]] = signs[:, 0]
+    remaining = iter(progress(_each_once(parts), "index photos", len(described)))
+    while batch := list(islice(remaining, BATCH)):
+        rows = np.concatenate([np.arange(starts[p], starts[p + 1]) for p, _ in batch])
+        together = np.concatenate([descriptors for _, descriptors in batch])
+        found, signs = vocabulary.quantise(unit_vectors(together))
+        words[rows], signatures[rows] = found[:, 0], signs[:, 0]
     # Features are in the order of the photos, and stay so within each word.
     order = np.argsort(words, kind="stable")
     ends = np.cumsum(np.bincount(words, minlength=vocabulary.words))

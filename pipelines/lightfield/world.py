@@ -132,7 +132,7 @@ def model_world(
     world = _index(
         source, division, built, record, provenance("model", plain_options(settings), inputs)
     )
-    recognition = _recognition(world, built)
+    recognition = _recognition(world, built, progress)
     with atomic_folder(output, overwrite, WORLD_FILE) as folder:
         (folder / AREA_FOLDER).mkdir()
         for area, scene in zip(world.areas, built, strict=True):
@@ -217,7 +217,7 @@ def _index(
     )
 
 
-def _recognition(world: World, built: list[BuiltArea]) -> AreaRecognition:
+def _recognition(world: World, built: list[BuiltArea], progress: Progress) -> AreaRecognition:
     """What finds the areas of an image, from the features that were found as areas were built."""
 
     def part(area: WorldArea, scene: BuiltArea) -> Callable[[], PhotoFeatures]:
@@ -233,6 +233,7 @@ def _recognition(world: World, built: list[BuiltArea]) -> AreaRecognition:
             np.array([number, *map(names.index, area.neighbours)], dtype=np.int64)
             for number, area in enumerate(world.areas)
         ],
+        progress,
     )
 
 
