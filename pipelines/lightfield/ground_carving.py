@@ -45,7 +45,7 @@ def free_ground(
         depth: their depth maps.
     """
     centres = world_from_camera[:, :3, 3]
-    reach = REACH_IN_DEPTHS * _median_depth(depth)
+    reach = REACH_IN_DEPTHS * median_depth(depth)
     low, high = centres[:, :2].min(axis=0), centres[:, :2].max(axis=0)
     extent = float(np.max(high - low)) + 2.0 * (reach + MARGIN)
     cell = max(CELL, extent / LARGEST_SIDE)
@@ -66,7 +66,7 @@ def free_ground(
     return FreeGround(corner, cell, np.asarray(near, dtype=np.bool_))
 
 
-def _median_depth(depth: Sequence[SceneDepth]) -> float:
+def median_depth(depth: Sequence[SceneDepth]) -> float:
     """Metres along the optical axis, over known pixels all across the maps."""
     sampled = [view.inverse_depth[::STRIDE, ::STRIDE] for view in depth]
     return 1.0 / float(np.median(np.concatenate([values[values > 0.0] for values in sampled])))

@@ -11,6 +11,7 @@ import scipy
 
 from pipelines.artifacts.arrays import BoolArray, FloatArray, IntArray
 from pipelines.geometry.camera import Undistorter
+from pipelines.lightfield.ground_carving import median_depth
 from pipelines.lightfield.scene import Scene
 
 # Points of the surface lower than this are floor, metres.
@@ -90,7 +91,7 @@ def _standing(
     middles = np.stack(sums, axis=1) / counts[:, None]
     seen, passed = np.zeros((2, len(slices)))
     tree = scipy.spatial.cKDTree(middles)
-    reach = NEARBY_IN_DEPTHS * _median_depth(scene)
+    reach = NEARBY_IN_DEPTHS * median_depth(scene.depth)
     for index in range(len(scene)):
         near = np.array(tree.query_ball_point(scene.world_from_camera[index, :3, 3], reach))
         if len(near) > 0:
@@ -121,9 +122,3 @@ def _depth_beyond(scene: Scene, index: int, points: FloatArray) -> FloatArray:
         known = inside & depth.confident[pixel] & (depth.inverse_depth[pixel] > 0.0)
         beyond = (1.0 / depth.inverse_depth[pixel] - z) / (SLACK + SLACK_SHARE * z)
     return np.where(known, beyond, np.nan)
-
-
-def _median_depth(scene: Scene) -> float:
-    """Metres along the optical axis, over all known pixels."""
-    known = [view.inverse_depth[view.inverse_depth > 0.0] for view in scene.depth]
-    return 1.0 / float(np.median(np.concatenate(known)))
