@@ -52,6 +52,9 @@ class ReconstructionSummary:
         if isinstance(pieces, list) and len(pieces) > 1:
             sizes = ", ".join(str(size) for size in pieces)
             rows.append(("images in pieces that odometry joins", sizes))
+        lone = content.statistics.get("placed_by_odometry")
+        if isinstance(lone, int) and lone:
+            rows.append(("images placed by odometry alone", str(lone)))
         dropped = list(content.dropped.items())
         rows += [(f"dropped {name}", reason) for name, reason in dropped[:SHOWN_DROPPED]]
         if len(dropped) > SHOWN_DROPPED:

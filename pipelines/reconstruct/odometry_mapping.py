@@ -264,7 +264,7 @@ class OdometryMapping:
             if image.num_points3D < MIN_POINTS:
                 config.set_constant_rig_from_world_pose(image.frame_id)
                 held.append(row_of_name[image.name])
-        config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+        config.fix_gauge(pycolmap.BundleAdjustmentGauge.UNSPECIFIED)
         pycolmap.create_default_bundle_adjuster(options, config, model).solve()
         return sorted(held)
 

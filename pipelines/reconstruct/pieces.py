@@ -5,6 +5,8 @@ free against each other. Each is right in itself; its scale and its place beside
 those of odometry.
 """
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray
@@ -13,6 +15,10 @@ from pipelines.geometry.pose import inverse
 from pipelines.reconstruct.alignment import MIN_PAIRS, Similarity, align_to_odometry
 from pipelines.reconstruct.colmap_model import NO_POINT, ColmapModel, ModelImage, ModelPoints
 from pipelines.reconstruct.connectivity import firm_pieces, restrict
+from pipelines.reconstruct.pose_graph import walked
+
+# Metres from a placed image to one that odometry places: it is good to some centimetres there.
+LONE_WALK = 2.0
 
 
 def moved(model: ColmapModel, similarity: Similarity) -> ColmapModel:
@@ -51,23 +57,68 @@ def placed_by_odometry(
 
     Args:
         placed: metric, in the world.
-        part: in coordinates of its own; its images are named in time order, like all.
-        odometry: name of an image -> world_from_camera ``(4, 4)``; its drift is taken out.
+        part: in coordinates of its own.
+        odometry: name of an image -> world_from_camera ``(4, 4)``, in time order; its drift is
+            taken out.
 
     Raises:
         StageError: the piece does not fit odometry, or does not tell its scale.
     """
-    names = sorted(odometry)
-    order = {name: row for row, name in enumerate(names)}
-    world_from_placed = {image.name: inverse(image.camera_from_world) for image in placed.images}
-    rows = np.array([order[name] for name in world_from_placed])
-    expected = []
-    for image in part.images:
-        beside = names[rows[np.argmin(np.abs(rows - order[image.name]))]]
-        step = inverse(odometry[beside]) @ odometry[image.name]
-        expected.append(world_from_placed[beside] @ step)
+    expected, _ = _beside(placed, [image.name for image in part.images], odometry)
     own = inverse(np.array([image.camera_from_world for image in part.images]))
-    return moved(part, align_to_odometry(own, np.array(expected)).world_from_model)
+    return moved(part, align_to_odometry(own, expected).world_from_model)
+
+
+def lone_images(
+    placed: ColmapModel, model: ColmapModel, odometry: dict[str, FloatArray]
+) -> tuple[ModelImage, ...]:
+    """The images that hang together with nothing but are a short walk from one that is placed.
+
+    They show a bare wall, say. Their poses are odometry's from there; they see no points.
+
+    Args:
+        placed: metric, in the world.
+        model: of all images.
+        odometry: as in ``placed_by_odometry``.
+    """
+    names = {image.name for image in placed.images}
+    left = [image for image in model.images if image.name not in names]
+    if not left:
+        return ()
+    poses, walks = _beside(placed, [image.name for image in left], odometry)
+    return tuple(
+        ModelImage(
+            image.identifier,
+            image.name,
+            image.camera,
+            camera_from_world,
+            np.empty((0, 2)),
+            np.empty(0, dtype=np.int64),
+        )
+        for image, camera_from_world, walk in zip(left, inverse(poses), walks, strict=True)
+        if walk <= LONE_WALK
+    )
+
+
+def _beside(
+    placed: ColmapModel, names: list[str], odometry: dict[str, FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Poses ``(N, 4, 4)`` of images by odometry from the placed ones that are nearest in time.
+
+    Also the metres ``(N,)`` that were walked between both.
+    """
+    order = {name: row for row, name in enumerate(odometry)}
+    own = np.array(list(odometry.values()))
+    path = walked(own)
+    poses = {order[image.name]: inverse(image.camera_from_world) for image in placed.images}
+    rows = np.array(list(poses))
+    found, walks = [], []
+    for name in names:
+        row = order[name]
+        nearest = int(rows[np.argmin(np.abs(rows - row))])
+        found.append(poses[nearest] @ inverse(own[nearest]) @ own[row])
+        walks.append(abs(path[row] - path[nearest]))
+    return np.array(found), np.array(walks)
 
 
 def joined(parts: list[ColmapModel]) -> ColmapModel:
@@ -103,27 +154,44 @@ def joined(parts: list[ColmapModel]) -> ColmapModel:
     return ColmapModel(parts[0].cameras, tuple(images), all_points)
 
 
+@dataclass(frozen=True)
+class Whole:
+    """A model in the world.
+
+    Attributes:
+        model: of all images that have a place.
+        pieces: images in each piece that hangs together by itself, the largest first.
+        lone: images whose poses are odometry's.
+    """
+
+    model: ColmapModel
+    pieces: list[int]
+    lone: int
+
+
 def put_together(
-    parts: list[ColmapModel], main: Similarity, odometry: dict[str, FloatArray]
-) -> tuple[ColmapModel, list[int]]:
-    """All pieces of a model in the world.
+    model: ColmapModel,
+    parts: list[ColmapModel],
+    main: Similarity,
+    odometry: dict[str, FloatArray],
+) -> Whole:
+    """All of a model in the world.
 
     Args:
-        parts: of ``firm_parts``.
+        model: of all images.
+        parts: its ``firm_parts``.
         main: from the model to the world, for the largest one.
         odometry: as in ``placed_by_odometry``.
-
-    Returns:
-        The model, and how many images each piece has that is in it.
     """
     whole = moved(parts[0], main)
-    sizes = [len(parts[0].images)]
+    pieces = [len(parts[0].images)]
     for part in parts[1:]:
         try:
             placed = placed_by_odometry(whole, part, odometry)
         except StageError:
-            # Its images are reported as dropped.
+            # Its images are lone ones.
             continue
         whole = joined([whole, placed])
-        sizes.append(len(part.images))
-    return whole, sizes
+        pieces.append(len(part.images))
+    lone = lone_images(whole, model, odometry)
+    return Whole(replace(whole, images=(*whole.images, *lone)), pieces, len(lone))

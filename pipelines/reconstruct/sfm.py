@@ -186,11 +186,12 @@ def _placed_model(
         odometry.world_from_camera[rows],
     )
     corrected = np.load(folder / "models" / CORRECTED_POSES)
-    placed, sizes = put_together(
-        parts, alignment.world_from_model, dict(zip(names, corrected, strict=True))
+    whole = put_together(
+        model, parts, alignment.world_from_model, dict(zip(names, corrected, strict=True))
     )
-    return placed, {
-        "pieces": sizes,
+    return whole.model, {
+        "pieces": whole.pieces,
+        "placed_by_odometry": whole.lone,
         "alignment_images": len(rows),
         "alignment_scale": alignment.world_from_model.scale,
         "odometry_drift_m": alignment.place_drift,

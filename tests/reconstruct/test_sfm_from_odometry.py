@@ -20,6 +20,7 @@ from pipelines.geometry.pose import inverse, pose_from_rotation, rotation_angle
 from pipelines.geometry.trajectory import read_tum
 from pipelines.reconstruct.alignment import Similarity
 from pipelines.reconstruct.colmap_model import ColmapModel, read_model, write_model
+from pipelines.reconstruct.connectivity import restrict
 from pipelines.reconstruct.odometry_mapping import beside_the_others
 from pipelines.reconstruct.pieces import firm_parts, moved, put_together
 from pipelines.reconstruct.pose_graph import Drift
@@ -179,10 +180,32 @@ def test_pieces_are_put_together_through_odometry(tmp_path: Path) -> None:
     # Odometry's world is another one; what counts is how it goes on from photo to photo.
     odometry = pose_from_rotation(np.tile(turn[1, :3, :3], (10, 1, 1)), np.ones((10, 3))) @ world
     names = [image.name for image in model.images]
-    whole, sizes = put_together(parts, back, dict(zip(names, odometry, strict=True)))
-    assert sizes == [6, 4]
+    found = put_together(model, parts, back, dict(zip(names, odometry, strict=True)))
+    assert found.pieces == [6, 4]
+    assert found.lone == 0
+    whole = found.model
     np.testing.assert_allclose(camera_poses(whole), world, atol=1e-6)
     np.testing.assert_allclose(whole.points.positions, model.points.positions, atol=1e-6)
     (tmp_path / "whole").mkdir()
     write_model(tmp_path / "whole", whole)
     assert len(read_model(tmp_path / "whole").points.tracks) == len(model.points.tracks)
+
+
+def test_a_photo_of_a_bare_wall_is_placed_beside_its_neighbours(tmp_path: Path) -> None:
+    model = two_pieces(tmp_path)
+    rows = [0, 1, 2, 3, 4, 5]
+    first = restrict(model, rows)
+    same = Similarity(1.0, np.eye(3), np.zeros(3))
+    near = {image.name: pose for image, pose in zip(model.images, camera_poses(model), strict=True)}
+    steps = np.tile(np.eye(4), (10, 1, 1))
+    steps[:, 0, 3] = [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.5, 4.4, 5.4, 6.0]
+    odometry = dict(zip(near, steps, strict=True))
+    whole = put_together(model, [first], same, odometry)
+    # Number 8 is a walk of 2.9 m away, and the next one more.
+    assert whole.lone == 2
+    assert [image.name for image in whole.model.images] == list(near)[:8]
+    expected = near["000005.jpg"] @ inverse(steps[5]) @ steps[7]
+    np.testing.assert_allclose(camera_poses(whole.model)[7], expected, atol=1e-9)
+    (tmp_path / "whole").mkdir()
+    write_model(tmp_path / "whole", whole.model)
+    assert len(read_model(tmp_path / "whole").images) == 8
