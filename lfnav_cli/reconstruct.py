@@ -29,10 +29,11 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--matcher",
-    type=click.Choice(["auto", "sequential", "exhaustive"]),
+    type=click.Choice(["auto", "spatial", "sequential", "exhaustive"]),
     default="auto",
     show_default=True,
-    help="sfm: which images are matched. auto: all pairs up to 40 images, neighbours above.",
+    help="sfm: which images are matched. spatial: those that by odometry see the same, or look "
+    "alike. auto: all pairs up to 40 images, neighbours above, spatial above 150 with odometry.",
 )
 @click.option(
     "--scale",

@@ -60,6 +60,10 @@ def worker_command(module: str) -> tuple[str, ...]:
     return (sys.executable, "-P", "-m", module)
 
 
+class WorkerError(StageError):
+    """A worker ended before it was done; what it has finished may still be used."""
+
+
 class WorkerProcess:
     """The parent's end; the worker is killed when the block ends, however it ends.
 
@@ -125,11 +129,12 @@ class WorkerProcess:
         """The next thing that the worker says; ``queue.Empty`` after ``timeout`` seconds.
 
         Raises:
-            StageError: the worker ended, or said something that is no JSON object.
+            WorkerError: the worker ended.
+            StageError: it said something that is no JSON object.
         """
         line = self._lines.get(timeout=timeout)
         if line is None:
-            raise StageError(self._epitaph())
+            raise WorkerError(self._epitaph())
         try:
             event = json.loads(line)
         except ValueError:

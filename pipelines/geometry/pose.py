@@ -133,6 +133,21 @@ def rotation_angle(pose: FloatArray) -> FloatArray:
     return np.asarray(rotation.magnitude().reshape(pose.shape[:-2]), dtype=np.float64)
 
 
+def about_z(angles: FloatArray) -> FloatArray:
+    """Rotations ``(N, 3, 3)`` by angles ``(N,)`` about the z axis."""
+    cosine, sine = np.cos(angles), np.sin(angles)
+    rotations = np.tile(np.eye(3), (len(angles), 1, 1))
+    rotations[:, 0, 0] = rotations[:, 1, 1] = cosine
+    rotations[:, 0, 1], rotations[:, 1, 0] = -sine, sine
+    return rotations
+
+
+def angle_about_z(rotations: FloatArray) -> FloatArray:
+    """Angles ``(N,)`` of the rotations about z that are nearest to rotations ``(N, 3, 3)``."""
+    sine = rotations[:, 1, 0] - rotations[:, 0, 1]
+    return np.asarray(np.arctan2(sine, rotations[:, 0, 0] + rotations[:, 1, 1]))
+
+
 def world_from_base_planar(states: ArrayLike) -> FloatArray:
     """Robot poses on the ground plane z = 0 (axes: REP-103).
 

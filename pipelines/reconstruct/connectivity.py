@@ -32,10 +32,10 @@ def firm_pieces(model: ColmapModel) -> list[list[int]]:
     sees = scipy.sparse.csr_matrix((np.ones(len(tracks)), (rows, tracks[:, 0])), shape=shape)
     # An image may see a point twice; it counts once.
     sees.data[:] = 1.0
-    shared = (sees @ sees.T).toarray()  # [N, N]
-    _, labels = scipy.sparse.csgraph.connected_components(
-        (shared >= FIRM_SHARED_POINTS).astype(np.int8), directed=False
-    )
+    shared = sees @ sees.T
+    shared.data[:] = shared.data >= FIRM_SHARED_POINTS
+    shared.eliminate_zeros()
+    _, labels = scipy.sparse.csgraph.connected_components(shared, directed=False)
     groups = [np.flatnonzero(labels == label).tolist() for label in np.unique(labels)]
     return sorted(groups, key=lambda group: (-len(group), group))
 

@@ -17,6 +17,8 @@ SHOWN_STATISTICS = {
     "median_triangulation_angle_deg": ("median triangulation angle (deg)", 1),
     "alignment_position_rmse_m": ("alignment to odometry, position (m)", 3),
     "alignment_rotation_rmse_deg": ("alignment to odometry, rotation (deg)", 2),
+    "odometry_drift_m": ("drift of odometry, at most (m)", 3),
+    "odometry_drift_deg": ("drift of odometry's heading, at most (deg)", 2),
     "planar_rms_px": ("adjusted in the plane, error (px)", 2),
     "planar_moved_m": ("adjusted in the plane, moved by (m)", 3),
 }
@@ -46,6 +48,13 @@ class ReconstructionSummary:
             value = content.statistics.get(key)
             if isinstance(value, (int, float)):
                 rows.append((label, f"{value:.{digits}f}"))
+        pieces = content.statistics.get("pieces")
+        if isinstance(pieces, list) and len(pieces) > 1:
+            sizes = ", ".join(str(size) for size in pieces)
+            rows.append(("images in pieces that odometry joins", sizes))
+        lone = content.statistics.get("placed_by_odometry")
+        if isinstance(lone, int) and lone:
+            rows.append(("images placed by odometry alone", str(lone)))
         dropped = list(content.dropped.items())
         rows += [(f"dropped {name}", reason) for name, reason in dropped[:SHOWN_DROPPED]]
         if len(dropped) > SHOWN_DROPPED:

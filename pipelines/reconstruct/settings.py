@@ -9,7 +9,7 @@ from pipelines.artifacts.arguments import check_fields
 from pipelines.artifacts.errors import OptionError, quoted
 from pipelines.reconstruct.reconstruction import METHODS
 
-MATCHERS = ("auto", "sequential", "exhaustive")
+MATCHERS = ("auto", "spatial", "sequential", "exhaustive")
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,9 @@ class ReconstructSettings:
     Attributes:
         method: "sfm", "odometry" or "poses".
         poses: TUM file of world_from_body, for method "poses" and no other.
-        matcher: which pairs of images structure from motion compares.
+        matcher: which pairs of images structure from motion compares. "spatial": those that by
+            odometry see the same, and that look alike; the mapping starts from odometry then.
+            "auto" takes it for more than 150 images that have odometry and a known camera.
         scale: metres a unit of the model, for structure from motion without odometry.
         seed: of all random choices of structure from motion.
         max_features: features an image.

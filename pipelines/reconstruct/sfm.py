@@ -4,23 +4,26 @@ This is the parent's side. The work is done by ``sfm_worker`` in a process of it
 started and monitored, and its result is judged (``checks``).
 """
 
-import itertools
 import json
 import logging
+import math
 import os
 import queue
-import tempfile
+import shutil
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from pipelines.artifacts.errors import InputError, StageError, quoted
 from pipelines.artifacts.processes import WorkerProcess, worker_command
 from pipelines.artifacts.stages import Progress
-from pipelines.dataset.dataset import Dataset
+from pipelines.dataset.dataset import CAMERA_FILE, ODOMETRY_FILE, Dataset
 from pipelines.dataset.images import image_header
 from pipelines.geometry.camera import Camera
+from pipelines.geometry.pose import inverse
 from pipelines.reconstruct.checks import (
     MIN_IMAGES,
     DatabaseFindings,
@@ -33,15 +36,13 @@ from pipelines.reconstruct.checks import (
 )
 from pipelines.reconstruct.colmap_model import ColmapModel, colmap_params, read_model
 from pipelines.reconstruct.connectivity import firm_pieces, restrict
+from pipelines.reconstruct.drifting_odometry import align_to_drifting_odometry
+from pipelines.reconstruct.known_poses import KnownPoses, poses_from_odometry
+from pipelines.reconstruct.photo_pairs import SPATIAL_LIMIT, image_pairs
+from pipelines.reconstruct.pieces import firm_parts, put_together
 from pipelines.reconstruct.settings import ReconstructSettings
-from pipelines.reconstruct.sfm_worker import Request
+from pipelines.reconstruct.sfm_worker import CORRECTED_POSES, Request
 
-# Every image is compared with every other up to this number of images.
-EXHAUSTIVE_LIMIT = 40
-# Neighbours in time above it: each of the next ones, then 2, 4, 8, ... times as far.
-SEQUENTIAL_OVERLAP = 10
-# And every so many-th image with every other such one, which closes loops.
-LOOP_PERIOD = 10
 POLL_SECONDS = 0.3
 MAX_THREADS = 16
 ESTIMATED_CAMERA_MODEL = "SIMPLE_RADIAL"
@@ -53,6 +54,9 @@ WORKER_COMMAND = worker_command("pipelines.reconstruct.sfm_worker")
 
 _log = logging.getLogger(__name__)
 
+# What each attempt left: its name, and folders of models with their numbers of images.
+Attempts = list[tuple[str, list[tuple[str, int]]]]
+
 
 @dataclass(frozen=True)
 class StructureFromMotion:
@@ -63,12 +67,14 @@ class StructureFromMotion:
         findings: measures of the model.
         statistics: plain JSON types.
         dropped: name of an image without a pose -> the reason.
+        is_placed: whether the model lies in odometry's world already, in metres.
     """
 
     model: ColmapModel
     findings: ModelFindings
     statistics: dict[str, Any]
     dropped: dict[str, str]
+    is_placed: bool = False
 
 
 def index_of(name: str) -> int:
@@ -76,54 +82,75 @@ def index_of(name: str) -> int:
     return int(name.split(".", 1)[0])
 
 
-def image_pairs(count: int, matcher: str) -> list[tuple[int, int]]:
-    """Which images are compared.
+def starts_from_odometry(dataset: Dataset, settings: ReconstructSettings) -> bool:
+    """Whether the mapping starts from odometry: as asked for, or for many photos that have it.
 
-    Args:
-        count: number of images, in time order.
-        matcher: "exhaustive", "sequential", or "auto": exhaustive for small numbers.
-
-    Returns:
-        Pairs (i, j) with i < j, sorted, each once.
+    Raises:
+        InputError: it is asked for, and the data set has no odometry or no camera.
     """
-    if matcher == "exhaustive" or (matcher == "auto" and count <= EXHAUSTIVE_LIMIT):
-        return list(itertools.combinations(range(count), 2))
-    offsets = set(range(1, SEQUENTIAL_OVERLAP + 1))
-    offsets |= {2**power for power in range(SEQUENTIAL_OVERLAP)}
-    pairs = {(i, i + offset) for i in range(count) for offset in offsets if i + offset < count}
-    pairs |= set(itertools.combinations(range(0, count, LOOP_PERIOD), 2))
-    return sorted(pairs)
+    odometry, camera = dataset.odometry, dataset.camera
+    if settings.matcher == "auto":
+        return (
+            len(dataset) > SPATIAL_LIMIT
+            and odometry is not None
+            and camera is not None
+            and not poses_from_odometry(dataset).dropped
+        )
+    if settings.matcher != "spatial":
+        return False
+    for missing, name in ((odometry is None, ODOMETRY_FILE), (camera is None, CAMERA_FILE)):
+        if missing:
+            raise InputError(
+                dataset.root / name,
+                "does not exist, and --matcher spatial chooses by it which images see the same",
+                "use --matcher sequential or exhaustive",
+            )
+    return True
 
 
 def structure_from_motion(
-    dataset: Dataset, settings: ReconstructSettings, progress: Progress
+    dataset: Dataset, settings: ReconstructSettings, folder: Path, progress: Progress
 ) -> StructureFromMotion:
     """Runs structure from motion on all images of a data set.
 
     The camera is fixed where the data set knows it, else a SIMPLE_RADIAL camera is estimated. No
     features are taken where the data set's mask says so.
 
+    Args:
+        dataset: the images, and odometry where ``starts_from_odometry``.
+        settings: the options.
+        folder: for what is finished, of the same data set and settings alone: a later call goes on
+            with what it finds there.
+        progress: told how far the work is.
+
     Raises:
-        InputError: fewer than three images.
-        StageError: the worker crashed, or its result cannot be trusted; the data set and the
-            reason are named.
+        InputError: fewer than three images, or no odometry though it is needed.
+        WorkerError: the worker crashed.
+        StageError: its result cannot be trusted; the data set and the reason are named.
     """
     count = len(dataset.image_names)
     if count < MIN_IMAGES:
         raise InputError(
             dataset.root, f"holds {count} images; structure from motion needs {MIN_IMAGES}"
         )
-    with tempfile.TemporaryDirectory(prefix="lfnav_sfm_") as name:
-        folder = Path(name)
-        request = _prepare(dataset, settings, folder)
-        own_names = dict(zip(request.names, dataset.image_names, strict=True))
-        try:
-            attempts, findings = _work(request, folder, dataset.camera, own_names, progress)
+    odometry = poses_from_odometry(dataset) if starts_from_odometry(dataset, settings) else None
+    folder.mkdir(parents=True, exist_ok=True)
+    request = _prepare(dataset, settings, odometry, folder)
+    own_names = {name: dataset.image_names[index_of(name)] for name in request.names}
+    try:
+        attempts, findings = _work(request, folder, dataset.camera, own_names, progress)
+        if odometry is None:
             model, measured, attempt = _best_model(attempts, count, findings)
-        except StageError as error:
-            raise StageError(f"{dataset.root}: {error}") from error
+            placement: dict[str, Any] | None = None
+        else:
+            model, placement = _placed_model(attempts, odometry, request.names, folder)
+            measured, attempt = measure(model), attempts[-1][0]
+            check_model(measured, count, placement["pieces"])
+    except StageError as error:
+        raise type(error)(f"{dataset.root}: {error}") from error
     posed = {image.name for image in model.images}
-    dropped = {
+    dropped = {} if odometry is None else dict(odometry.dropped)
+    dropped |= {
         own: f"structure from motion found no firm pose ({findings.features.get(name, 0)} features)"
         for name, own in own_names.items()
         if name not in posed
@@ -133,30 +160,67 @@ def structure_from_motion(
         "images": count,
         **measured.to_dict(),
         "mapper": attempt,
-        "pairs_compared": len(image_pairs(count, settings.matcher)),
+        "pairs_compared": len(Path(request.pairs).read_text(encoding="utf-8").splitlines()),
         "pairs_verified": findings.verified_pairs,
         "pairs_by_rotation_share": findings.rotation_share,
         "camera_estimated": dataset.camera is None,
+        **(placement or {}),
     }
-    return StructureFromMotion(model, measured, statistics, dropped)
+    return StructureFromMotion(model, measured, statistics, dropped, placement is not None)
 
 
-def _prepare(dataset: Dataset, settings: ReconstructSettings, folder: Path) -> Request:
-    """Lays out the worker's folder.
+def _placed_model(
+    attempts: Attempts, odometry: KnownPoses, names: list[str], folder: Path
+) -> tuple[ColmapModel, dict[str, Any]]:
+    """The model that started from odometry, in odometry's world, and how it was put there."""
+    (path, _), *_ = attempts[-1][1]
+    model = read_model(Path(path))
+    parts = firm_parts(model)
+    if not parts:
+        raise StageError("no model: no three images see the same points")
+    row_of_index = {index: row for row, index in enumerate(odometry.image_index.tolist())}
+    images = sorted(parts[0].images, key=lambda image: image.name)
+    rows = [row_of_index[index_of(image.name)] for image in images]
+    alignment = align_to_drifting_odometry(
+        inverse(np.array([image.camera_from_world for image in images])),
+        odometry.world_from_camera[rows],
+    )
+    corrected = np.load(folder / "models" / CORRECTED_POSES)
+    whole = put_together(
+        model, parts, alignment.world_from_model, dict(zip(names, corrected, strict=True))
+    )
+    return whole.model, {
+        "pieces": whole.pieces,
+        "placed_by_odometry": whole.lone,
+        "alignment_images": len(rows),
+        "alignment_scale": alignment.world_from_model.scale,
+        "odometry_drift_m": alignment.place_drift,
+        "odometry_drift_deg": math.degrees(alignment.heading_drift),
+    }
+
+
+def _prepare(
+    dataset: Dataset, settings: ReconstructSettings, odometry: KnownPoses | None, folder: Path
+) -> Request:
+    """Lays out the worker's folder, in which there may be what an earlier call has finished.
 
     The images are linked under numbers: COLMAP orders by name and its lists cannot hold blanks.
     """
     images, output = folder / "images", folder / "models"
+    output.mkdir(exist_ok=True)
+    shutil.rmtree(images, ignore_errors=True)
     images.mkdir()
-    output.mkdir()
-    names = [
-        f"{index:06d}{Path(name).suffix.lower()}" for index, name in enumerate(dataset.image_names)
-    ]
-    for index, name in enumerate(names):
+    indices = range(len(dataset)) if odometry is None else odometry.image_index.tolist()
+    names = [f"{index:06d}{Path(dataset.image_names[index]).suffix.lower()}" for index in indices]
+    for index, name in zip(indices, names, strict=True):
         (images / name).symlink_to(dataset.image_path(index).resolve())
-    pairs = image_pairs(len(names), settings.matcher)
-    pair_file = folder / "pairs.txt"
-    pair_file.write_text("".join(f"{names[i]} {names[j]}\n" for i, j in pairs), encoding="utf-8")
+    pair_file, odometry_file = folder / "pairs.txt", folder / "odometry.npy"
+    if odometry is None:
+        pairs = image_pairs(len(names), settings.matcher)
+        lines = [f"{names[first]} {names[second]}\n" for first, second in pairs]
+        pair_file.write_text("".join(lines), encoding="utf-8")
+    else:
+        np.save(odometry_file, odometry.world_from_camera)
     mask_file = folder / "mask.png"
     if dataset.mask is not None:
         mask_file.write_bytes(dataset.mask.encoded())
@@ -177,10 +241,9 @@ def _prepare(dataset: Dataset, settings: ReconstructSettings, folder: Path) -> R
         max_features=settings.max_features,
         max_size=settings.max_size,
         mask=None if dataset.mask is None else str(mask_file),
+        odometry=None if odometry is None else str(odometry_file),
+        camera=None if odometry is None or camera is None else camera.to_dict(),
     )
-
-
-Attempts = list[tuple[str, list[tuple[str, int]]]]
 
 
 def _work(
@@ -198,8 +261,6 @@ def _work(
     """
     attempts: Attempts = []
     findings = DatabaseFindings({}, 0, 0.0)
-    pair_lines = Path(request.pairs).read_text(encoding="utf-8").splitlines()
-    totals = {"features": len(request.names), "matching": len(pair_lines)}
     with _Worker(request, folder) as worker:
         event = worker.next_event()
         while event["phase"] != "done":
@@ -215,7 +276,7 @@ def _work(
                 findings = read_findings(Path(request.database), camera, size)
                 check_database(findings, own_names)
             text = PHASE_TEXTS.get(phase, f"mapping ({event.get('attempt', '')})")
-            total = totals.get(phase, len(request.names))
+            total = event.get("total", len(request.names))
             steps = worker.steps(COUNTED_TABLES.get(phase), total)
             for _ in progress(steps, text, total):
                 pass

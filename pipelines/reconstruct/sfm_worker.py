@@ -10,6 +10,7 @@ here, the parent judges what came out.
 
 import json
 import os
+import shutil
 import sys
 import threading
 from collections.abc import Callable
@@ -17,7 +18,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from pipelines.artifacts.processes import die_with_parent, own_output
+from pipelines.geometry.camera import camera_from_dict
+from pipelines.reconstruct.odometry_mapping import ROUNDS, OdometryMapping
+from pipelines.reconstruct.photo_pairs import Pairs
 
 # Degrees between the two first views. COLMAP's default of 16 is safest, but pictures taken facing
 # forward do not have it.
@@ -26,6 +32,8 @@ WIDE_FIRST_ANGLE, NARROW_FIRST_ANGLE = 16.0, 4.0
 GOOD_SHARE = 0.95
 # Sums over several threads come out in another order every time, and so does the result.
 MAPPING_THREADS = 1
+# The first one in a database.
+CAMERA_NUMBER = 1
 
 
 @dataclass(frozen=True)
@@ -35,7 +43,8 @@ class Request:
     Attributes:
         images: folder of the images.
         names: their names in time order; the names sort in that order too.
-        pairs: text file with two names a line: the images to compare.
+        pairs: text file with two names a line: the images to compare; with odometry it is written
+            here, by what the images show.
         database: file to be made.
         output: existing folder; each attempt's models come into ``<attempt>/<number>``.
         camera_model: COLMAP's name.
@@ -44,6 +53,9 @@ class Request:
         threads: how many at most.
         seed, max_features, max_size: as in ``ReconstructSettings``.
         mask: a grey image of that size; no features are taken where it is 0; None: everywhere.
+        odometry: file of NumPy with world_from_camera ``(N, 4, 4)``, from which the mapping
+            starts; None: from the images alone.
+        camera: of ``camera.toml``, where there is odometry.
     """
 
     images: str
@@ -60,7 +72,12 @@ class Request:
     max_features: int
     max_size: int
     mask: str | None = None
+    odometry: str | None = None
+    camera: dict[str, Any] | None = None
 
+
+# Names the attempt that starts from odometry, and the file of the poses that it starts from.
+FROM_ODOMETRY, CORRECTED_POSES = "from odometry", "corrected.npy"
 
 Emit = Callable[[dict[str, Any]], None]
 
@@ -72,7 +89,12 @@ def run(request: Request, emit: Emit) -> None:
     pycolmap.set_random_seed(request.seed)
     emit({"phase": "features"})
     _extract(request)
-    emit({"phase": "matching"})
+    if request.odometry is not None:
+        _map_from_odometry(request, emit)
+        emit({"phase": "done"})
+        return
+    lines = Path(request.pairs).read_text(encoding="utf-8").splitlines()
+    emit({"phase": "matching", "total": len(lines)})
     _match(request)
     attempts: dict[str, Callable[[Path], None]] = {
         "incremental": lambda folder: _map_incrementally(request, folder, emit, WIDE_FIRST_ANGLE),
@@ -84,6 +106,8 @@ def run(request: Request, emit: Emit) -> None:
     for name, attempt in attempts.items():
         emit({"phase": "mapping", "attempt": name})
         folder = Path(request.output) / name.replace(" ", "_")
+        # Of a mapping that was killed; it begins anew.
+        shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
         attempt(folder)
         models = _models_in(folder)
@@ -98,7 +122,14 @@ def _extract(request: Request) -> None:
 
     reader = pycolmap.ImageReaderOptions()
     reader.camera_model = request.camera_model
-    reader.existing_camera_id = _register(request, reader)
+    database = Path(request.database)
+    if not database.exists():
+        # Whole or not at all: after a kill the next call goes on with what is there.
+        unfinished = database.with_suffix(".unfinished")
+        unfinished.unlink(missing_ok=True)
+        _register(request, reader, unfinished)
+        unfinished.rename(database)
+    reader.existing_camera_id = CAMERA_NUMBER
     if request.mask is not None:
         reader.camera_mask_path = request.mask
     extraction = pycolmap.FeatureExtractionOptions()
@@ -116,7 +147,7 @@ def _extract(request: Request) -> None:
     )
 
 
-def _register(request: Request, reader: Any) -> int:
+def _register(request: Request, reader: Any, path: Path) -> None:
     """Enters the camera and the images before their features are there.
 
     Left to the extraction, the images would be numbered in the order in which its threads happen
@@ -135,7 +166,7 @@ def _register(request: Request, reader: Any) -> int:
             params=request.camera_params,
         )
         camera.has_prior_focal_length = True
-    with pycolmap.Database.open(request.database) as database:
+    with pycolmap.Database.open(path) as database:
         camera.camera_id = database.write_camera(camera)
         rig = pycolmap.Rig()
         rig.add_ref_sensor(camera.sensor_id)
@@ -147,7 +178,6 @@ def _register(request: Request, reader: Any) -> int:
             frame.rig_id = rig_number
             frame.add_data_id(image.data_id)
             database.write_frame(frame)
-    return int(camera.camera_id)
 
 
 def _match(request: Request) -> None:
@@ -155,6 +185,7 @@ def _match(request: Request) -> None:
 
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = request.seed
+    verification.compute_relative_pose = request.odometry is not None
     matching = pycolmap.FeatureMatchingOptions()
     matching.num_threads = request.threads
     pairing = pycolmap.ImportedPairingOptions()
@@ -166,6 +197,33 @@ def _match(request: Request) -> None:
         verification_options=verification,
         device=pycolmap.Device.cpu,
     )
+
+
+def _map_from_odometry(request: Request, emit: Emit) -> None:
+    """Chooses and matches pairs by odometry, and maps from its poses; after a kill it goes on."""
+    mapping = OdometryMapping(
+        Path(request.database),
+        Path(request.images),
+        request.names,
+        camera_from_dict(request.camera or {}),
+        np.load(request.odometry or ""),
+        request.seed,
+    )
+
+    def match(pairs: Pairs) -> None:
+        lines = [f"{request.names[first]} {request.names[second]}\n" for first, second in pairs]
+        Path(request.pairs).write_text("".join(lines), encoding="utf-8")
+        emit({"phase": "matching", "total": len(pairs)})
+        _match(request)
+
+    poses = mapping.compare(match)
+    np.save(Path(request.output) / CORRECTED_POSES, poses)
+    emit({"phase": "mapping", "attempt": FROM_ODOMETRY, "total": len(ROUNDS)})
+    rounds = Path(request.output) / "rounds"
+    rounds.mkdir(exist_ok=True)
+    model = mapping.adjust(poses, rounds, lambda: emit({"phase": "image"}))
+    models = [(str(model), len(request.names))]
+    emit({"phase": "models", "attempt": FROM_ODOMETRY, "models": models})
 
 
 def _map_incrementally(request: Request, folder: Path, emit: Emit, first_angle: float) -> None:

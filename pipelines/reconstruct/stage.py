@@ -1,8 +1,12 @@
 """The stage ``reconstruct``: a data set in, a folder of posed images out."""
 
+import hashlib
+import json
 import logging
 import math
+import shutil
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +14,8 @@ import numpy as np
 from pipelines.artifacts.arguments import PathLike, checked_instance, checked_path
 from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.atomic import check_output
-from pipelines.artifacts.errors import InputError, OptionError, StageError
+from pipelines.artifacts.errors import InputError, LfnavError, OptionError, StageError
+from pipelines.artifacts.processes import WorkerError
 from pipelines.artifacts.provenance import provenance, sha256_of_bytes, sha256_of_file
 from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.dataset.dataset import ODOMETRY_FILE, Dataset, load_dataset
@@ -37,6 +42,9 @@ from pipelines.reconstruct.sfm import index_of, structure_from_motion
 
 __all__ = ["ReconstructSettings", "reconstruct"]
 
+# Beside the output: what structure from motion has finished, until all is done.
+UNFINISHED_SUFFIX = ".sfm-in-progress"
+
 _log = logging.getLogger(__name__)
 
 
@@ -56,6 +64,8 @@ def reconstruct(
     Args:
         dataset: folder of a data set.
         output: folder to be written, as a whole or not at all; ``load_reconstruction`` reads it.
+            Structure from motion keeps what it has finished in a folder beside it: after a kill
+            the next call goes on.
         settings: the method and its options.
         overwrite: whether an older reconstruction there may be replaced.
         progress: told how far the work is.
@@ -81,8 +91,9 @@ def reconstruct(
             "without --planar the camera moves freely",
         )
     _check_movement(data, settings.planar)
+    unfinished = output.with_name(output.name + UNFINISHED_SUFFIX)
     if settings.method == "sfm":
-        result = _from_images(data, settings, progress)
+        result = _from_images(data, settings, unfinished, progress)
         if settings.planar:
             result = _in_plane(data, result)
     elif settings.poses is not None:
@@ -93,6 +104,7 @@ def reconstruct(
         result = _from_known_poses(data, settings, poses, "odometry", progress)
     record = provenance("reconstruct", settings.to_dict(), _inputs(data, settings, result))
     save_reconstruction(output, result, record, overwrite)
+    shutil.rmtree(unfinished, ignore_errors=True)
     return ReconstructionSummary(output, result)
 
 
@@ -137,19 +149,28 @@ def _from_known_poses(
 
 
 def _from_images(
-    data: Dataset, settings: ReconstructSettings, progress: Progress
+    data: Dataset, settings: ReconstructSettings, unfinished: Path, progress: Progress
 ) -> Reconstruction:
     """Structure from motion, then the metric world."""
     if settings.scale is not None and data.odometry is not None:
         raise OptionError(f"--scale: the odometry of {data.root} gives the scale already")
     hashes = hash_images(data, list(range(len(data))), progress)
-    found = structure_from_motion(data, settings, progress)
+    try:
+        folder = unfinished / _key(data, settings, hashes)
+        found = structure_from_motion(data, settings, folder, progress)
+    except WorkerError:
+        # Killed for lack of memory, perhaps: the next call goes on where this one stopped.
+        raise
+    except LfnavError:
+        shutil.rmtree(unfinished, ignore_errors=True)
+        raise
     images = sorted(found.model.images, key=lambda image: index_of(image.name))
     indices = [index_of(image.name) for image in images]
     model_from_camera = inverse(np.array([image.camera_from_world for image in images]))
     try:
-        placed = _place(data, settings, indices, model_from_camera)
+        placed = _place(data, settings, indices, model_from_camera, found.is_placed)
     except StageError as error:
+        shutil.rmtree(unfinished, ignore_errors=True)
         raise StageError(f"{data.root}: {error}") from error
     observations, pixels = observations_of(found.model, images)
     camera_numbers = list(found.model.cameras)
@@ -204,8 +225,11 @@ def _place(
     settings: ReconstructSettings,
     indices: list[int],
     model_from_camera: FloatArray,
+    is_placed: bool,
 ) -> _Placement:
     """The world by odometry where there is some, else by convention."""
+    if is_placed:
+        return _Placement(Similarity(1.0, np.eye(3), np.zeros(3)), "odometry", {})
     if data.odometry is None:
         scale = 1.0 if settings.scale is None else settings.scale
         source = "arbitrary" if settings.scale is None else "--scale"
@@ -228,6 +252,18 @@ def _place(
         "alignment_rotation_rmse_deg": math.degrees(alignment.rotation_rmse),
     }
     return _Placement(alignment.world_from_model, "odometry", statistics)
+
+
+def _key(data: Dataset, settings: ReconstructSettings, hashes: tuple[str, ...]) -> str:
+    """Name that changes with anything that features, matches and models depend on."""
+    camera = None if data.camera is None else data.camera.to_dict()
+    mask = None if data.mask is None else data.mask.sha256
+    mount = None if data.base_from_camera is None else data.base_from_camera.tolist()
+    content = [settings.to_dict(), hashes, camera, mask, mount, data.timestamps.tolist()]
+    digest = hashlib.sha256(json.dumps(content).encode())
+    if data.odometry is not None:
+        digest.update(data.odometry.timestamps.tobytes() + data.odometry.poses.tobytes())
+    return digest.hexdigest()[:16]
 
 
 def hash_images(data: Dataset, indices: list[int], progress: Progress) -> tuple[str, ...]:

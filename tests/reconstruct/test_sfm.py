@@ -1,7 +1,6 @@
 """Structure from motion from images to a metric reconstruction, and how it fails aloud."""
 
 import dataclasses
-import itertools
 import json
 import subprocess
 import sys
@@ -31,7 +30,6 @@ from pipelines.reconstruct.reconstruction import (
     save_reconstruction,
 )
 from pipelines.reconstruct.settings import ReconstructSettings
-from pipelines.reconstruct.sfm import image_pairs
 from pipelines.reconstruct.stage import reconstruct
 from tests.reconstruct_samples import (
     SAMPLES,
@@ -70,17 +68,6 @@ def root_mean_square(values: FloatArray) -> float:
 def true_cameras(found: Reconstruction, dataset: Path) -> FloatArray:
     truth = read_tum(dataset / "groundtruth.txt")
     return truth.poses[truth.nearest(found.timestamps, 1e-3)]
-
-
-def test_small_sets_are_compared_exhaustively_and_long_ones_along_time() -> None:
-    assert image_pairs(40, "auto") == list(itertools.combinations(range(40), 2))
-    pairs = image_pairs(300, "auto")
-    assert len(pairs) == len(set(pairs)) < 300 * 299 / 2 / 8
-    assert all(0 <= i < j < 300 for i, j in pairs)
-    assert {(7, 8), (7, 17), (7, 23), (7, 263), (0, 290)} <= set(pairs)
-    assert (7, 18) not in pairs
-    assert image_pairs(3, "sequential") == [(0, 1), (0, 2), (1, 2)]
-    assert len(image_pairs(100, "exhaustive")) == 4950
 
 
 @pytest.fixture(scope="module")
