@@ -58,8 +58,8 @@ def parse_fault(
 @click.option(
     "--robot",
     metavar="NAME",
-    help="Your robot as package.module:Class, or a simulated one: model:SCENE.h5, sim:SCENE.xml, "
-    "replay:DATASET.",
+    help="Your robot as package.module:Class, or a simulated one: model:SCENE.h5, "
+    "model:WORLD, sim:SCENE.xml, replay:DATASET.",
 )
 @click.option("--goal", metavar="X,Y,DEG", callback=parse_state, help="Goal pose: metres, degrees.")
 @click.option(

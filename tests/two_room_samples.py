@@ -31,7 +31,7 @@ ROBOT_CAMERA = Camera(
     "PINHOLE", CAMERA.width, CAMERA.height, (CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy)
 )
 DOOR = (PARTITION_X, 0.5 * (DOOR_LOW + DOOR_HIGH))
-DIRECTIONS = 8
+DIRECTIONS = 6
 
 
 @functools.cache

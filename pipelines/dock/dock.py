@@ -26,7 +26,7 @@ from pipelines.dock.exploration import Explorer
 from pipelines.dock.fine_alignment import FineAlignment
 from pipelines.dock.planar_motion import distance_between, position_sigma
 from pipelines.dock.pose_estimate import PoseEstimate, pose_estimate_of
-from pipelines.dock.road_map import road_map_of_scene
+from pipelines.dock.road_map import RoadMap, road_map_of_scene
 from pipelines.dock.robot import STANDSTILL, CheckedRobot, Movement, RobotError
 from pipelines.dock.safety import Safety
 from pipelines.dock.settings import DockSettings
@@ -112,6 +112,7 @@ def equipment_of(
     filter_settings: LocalizerSettings,
     rng: np.random.Generator,
     mask: BoolArray | None = None,
+    road_map: RoadMap | None = None,
 ) -> Equipment:
     """Makes the parts of the docking loop for a robot in a scene.
 
@@ -124,6 +125,7 @@ def equipment_of(
         rng: the filter's random numbers.
         mask: ``(height, width)``, True where images of the robot's camera are to be used; None:
             everywhere.
+        road_map: places that can be driven; None: where the scene's photos were taken.
 
     Raises:
         OptionError: a goal where no robot can be or whose view the map does not show, an area
@@ -157,7 +159,6 @@ def equipment_of(
     goal_note = visibility.check_goal(goal)
     settings, staging_note = visibility.visible_staging(goal, settings)
     explorer = Explorer(renderer, robot.base_from_camera, intrinsics, safety)
-    road_map = road_map_of_scene(scene)
     reach = settings.staging_distance + ALIGNED_BEYOND_STAGING
     alignment = FineAlignment(
         scene, robot.camera, robot.base_from_camera, chosen, goal, reach, mask
@@ -167,7 +168,7 @@ def equipment_of(
         localizer_of(chosen.start),
         lambda: localizer_of(None),
         alignment,
-        DockingStateMachine(goal, settings, safety, explorer, road_map),
+        DockingStateMachine(goal, settings, safety, explorer, road_map or road_map_of_scene(scene)),
         settings,
         mask,
         tuple(note for note in (goal_note, staging_note) if note),

@@ -16,6 +16,7 @@ import scipy.sparse.csgraph
 from pipelines.artifacts.arrays import FloatArray, IntArray
 from pipelines.lightfield.recorded_paths import recorded_paths
 from pipelines.lightfield.scene import Scene
+from pipelines.lightfield.world_file import World
 
 # A stored zero is no link for SciPy's graph algorithms.
 _SMALLEST_COST = 1e-9
@@ -45,6 +46,11 @@ def road_map_of_scene(scene: Scene) -> RoadMap | None:
         return None
     paths = recorded_paths(scene.world_from_camera)
     return RoadMap(paths.positions[:, :2], paths.links)
+
+
+def road_map_of_world(world: World) -> RoadMap:
+    """The road map in the index of a world."""
+    return RoadMap(world.world_from_camera[:, :2, 3], world.links)
 
 
 def cheapest_way(

@@ -2,8 +2,9 @@
 
 The recorded places say where one can go; the scene's surface says how much room there is. A place
 that was recorded beside the middle of a doorway is first moved to where there is room for a robot
-(retraction, as in the medial-axis road maps of Wilmarth, Amato, Stiller 1999), and a link is closed
-where the straight line between its places comes too near to the surface or leaves the free ground.
+(retraction, as in the medial-axis road maps of Wilmarth, Amato, Stiller 1999); so are places in
+between on narrow links, which then lead through the middle. A link is closed where the straight
+line between its places comes too near to the surface or leaves the free ground.
 Of the ways that are left the cheapest is taken, where a narrow link costs more than its length.
 """
 
@@ -11,13 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipelines.artifacts.arrays import FloatArray
+from pipelines.artifacts.arrays import BoolArray, FloatArray
 from pipelines.dock.collision_check import CollisionCheck
 from pipelines.dock.road_map import RoadMap, cheapest_way
 
 # Room from which on more of it is no better, metres. A link without any costs so many times its
 # length.
 ENOUGH_ROOM, NARROW_COST = 0.25, 3.0
+# Narrow links are divided into pieces of this length at most, metres.
+PIECE = 0.2
 # Places are moved by this at most, in steps of this, metres, in so many directions.
 FARTHEST_MOVE, MOVE, DIRECTIONS = 0.3, 0.03, 12
 
@@ -38,7 +41,7 @@ class DrivableRoads:
 
 
 def drivable_roads(road_map: RoadMap, check: CollisionCheck) -> DrivableRoads:
-    """Moves the places of a road map to where there is room, and measures what its links leave.
+    """Moves a road map to where there is room, and measures what its links leave.
 
     Args:
         road_map: as recorded.
@@ -46,8 +49,24 @@ def drivable_roads(road_map: RoadMap, check: CollisionCheck) -> DrivableRoads:
     """
     first, last = road_map.ends
     step = float(np.linalg.norm(last - first, axis=1).max(initial=0.0))
-    moved = RoadMap(retracted(road_map.positions, check), road_map.links)
+    divided = with_places_on(road_map, check.room_along(first, last) < ENOUGH_ROOM)
+    moved = RoadMap(retracted(divided.positions, check), divided.links)
     return DrivableRoads(moved, check.room_along(*moved.ends), step)
+
+
+def with_places_on(road_map: RoadMap, chosen: BoolArray) -> RoadMap:
+    """The road map with places ``PIECE`` apart on some of its links, ``chosen`` ``(E,)``."""
+    positions, links = [road_map.positions], [road_map.links[~chosen]]
+    count = len(road_map.positions)
+    for first, last in road_map.links[chosen].tolist():
+        ends = road_map.positions[[first, last]]
+        pieces = max(1, int(np.ceil(np.linalg.norm(ends[1] - ends[0]) / PIECE)))
+        shares = np.arange(1, pieces)[:, None] / pieces
+        positions.append(ends[0] + shares * (ends[1] - ends[0]))
+        chain = np.array([first, *range(count, count + pieces - 1), last])
+        links.append(np.stack([chain[:-1], chain[1:]], axis=1))
+        count += pieces - 1
+    return RoadMap(np.concatenate(positions), np.concatenate(links))
 
 
 def retracted(places: FloatArray, check: CollisionCheck) -> FloatArray:
@@ -99,10 +118,14 @@ def _connections(place: FloatArray, roads: DrivableRoads, check: CollisionCheck)
     """Cost ``(N,)`` of the straight lines between a place ``(2,)`` and those of the road map."""
     places = roads.road_map.positions
     lengths = np.linalg.norm(places - place, axis=1)
-    room = check.room_leaving(place, places)
-    reachable = np.where(room >= 0.0, lengths, np.inf)
-    near = reachable <= max(roads.step, float(reachable.min(initial=np.inf)))
-    return np.where(near, _costs(lengths, room), np.inf)
+    room = np.full(len(places), -np.inf)
+    near = np.flatnonzero(lengths <= roads.step)
+    room[near] = check.room_leaving(place, places[near])
+    if not np.any(room >= 0.0):
+        room = check.room_leaving(place, places)
+        nearest = np.min(lengths[room >= 0.0], initial=np.inf)
+        room = np.where(lengths <= nearest, room, -np.inf)
+    return _costs(lengths, room)
 
 
 def _costs(lengths: FloatArray, room: FloatArray) -> FloatArray:

@@ -27,7 +27,7 @@ SLICE = 0.2
 # the depth. Views that are more than so many median depths away are not asked.
 SLACK, SLACK_SHARE, NEARBY_IN_DEPTHS = 0.1, 0.03, 2.0
 # A point is there when so many views see it, as a multiple of those that see through it.
-SEEN_SHARE = 1.0
+SEEN_SHARE = 2.0
 
 
 def obstacle_points(scene: Scene, top: float) -> FloatArray | None:

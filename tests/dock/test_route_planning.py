@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pipelines.artifacts.arrays import FloatArray, IntArray
 from pipelines.dock.collision_check import Blockage, CollisionCheck
 from pipelines.dock.road_map import RoadMap, cheapest_way
-from pipelines.dock.route_planning import drivable_roads, planned_route, retracted
+from pipelines.dock.route_planning import drivable_roads, planned_route, retracted, with_places_on
 from tests.route_samples import EAST, WEST, Rooms
 
 # --- the graph ----------------------------------------------------------------------------------
@@ -156,3 +156,31 @@ def test_places_are_moved_to_where_there_is_room_and_not_far() -> None:
     assert np.all(check.room(after) >= check.room(before))
     assert np.linalg.norm(after - before, axis=1).max() <= 0.3 + 1e-9
     assert np.all(check.room(after)[np.abs(before[:, 0]) < 0.3] > 0.14)
+
+
+def test_chosen_links_become_chains_of_short_ones() -> None:
+    road_map = RoadMap(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 0.1]]), np.array([[0, 1], [1, 2]]))
+    divided = with_places_on(road_map, np.array([True, True]))
+    first, last = divided.ends
+    assert np.linalg.norm(last - first, axis=1).max() <= 0.2 + 1e-9
+    np.testing.assert_array_equal(divided.positions[:3], road_map.positions)
+    way = cheapest_way(
+        divided,
+        np.linalg.norm(last - first, axis=1),
+        np.where(np.arange(7) == 0, 0.0, math.inf),
+        np.where(np.arange(7) == 2, 0.0, math.inf),
+    )
+    assert way is not None
+    np.testing.assert_allclose(divided.positions[way, 0], [0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.0])
+    untouched = with_places_on(road_map, np.array([False, False]))
+    np.testing.assert_array_equal(untouched.links, road_map.links)
+
+
+def test_a_link_that_meets_a_doorway_askew_is_bent_through_its_middle() -> None:
+    rooms = Rooms([(0.0, 0.9)])
+    rooms.road_map = RoadMap(np.array([[-0.5, 0.42], [0.5, -0.2]]), np.array([[0, 1]]))
+    check = CollisionCheck(rooms.safety(0.35))
+    straight = check.room_along(*rooms.road_map.ends)
+    assert straight[0] < 0.06
+    roads = drivable_roads(rooms.road_map, check)
+    assert roads.room.min() > 0.07

@@ -20,9 +20,11 @@ from pipelines.dock.robots.model import ModelRobot
 from pipelines.dock.robots.noise import MotionNoise, SensorNoise, SimulatedMotion
 from pipelines.dock.robots.replay import ReplayRobot
 from pipelines.dock.robots.simulator import PathTracing, SimulatorRobot
+from pipelines.dock.robots.world_model import WorldModelRobot
 from pipelines.geometry.camera import Camera, Undistorter
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_scene
+from pipelines.lightfield.world_file import area_path, load_world
 
 SIMULATED = ("model", "replay", "sim")
 
@@ -60,7 +62,8 @@ def robot_named(name: str, scene: Scene, options: RobotOptions, seed: int) -> Ch
     """The robot that a name stands for, checked.
 
     Args:
-        name: ``model:SCENE.h5``, ``replay:DATASET``, ``sim:SCENE.xml`` or ``package.module:Class``.
+        name: ``model:SCENE.h5``, ``model:WORLD``, ``replay:DATASET``, ``sim:SCENE.xml`` or
+            ``package.module:Class``.
         scene: scene in which it will be docked. A simulated robot starts in the scene's bounds and
             has its camera unless ``options`` say otherwise.
         options: options of a simulated robot.
@@ -79,8 +82,8 @@ def robot_named(name: str, scene: Scene, options: RobotOptions, seed: int) -> Ch
     kind, colon, rest = name.partition(":")
     if not colon or not rest:
         raise OptionError(
-            f"robot {quoted(name)} is none of model:SCENE.h5, replay:DATASET, sim:SCENE.xml, "
-            "package.module:Class"
+            f"robot {quoted(name)} is none of model:SCENE.h5, model:WORLD, replay:DATASET, "
+            "sim:SCENE.xml, package.module:Class"
         )
     if kind not in SIMULATED:
         return CheckedRobot(_user_robot(kind, rest))
@@ -97,6 +100,12 @@ def _simulated(kind: str, path: Path, scene: Scene, options: RobotOptions, seed:
     motion = SimulatedMotion(state, options.motion, moving)
     if kind == "replay":
         return ReplayRobot(load_dataset(path), motion)
+    if kind == "model" and path.is_dir():
+        index = load_world(path)
+        first = load_scene(area_path(path, index.areas[0].name))
+        return WorldModelRobot(
+            path, index, *_camera(first, options), motion, options.sensor, seeing
+        )
     world = load_scene(path) if kind == "model" else scene
     camera, mount = _camera(world, options)
     if kind == "model":

@@ -10,6 +10,15 @@ from pipelines.render.choices import Quality
 from pipelines.render.renderer import Renderer
 from pipelines.render.surface import quality_named
 
+# The colour of what a model does not show, grey levels.
+NOTHING = 128
+
+
+def renderer_of_model(scene: Scene, camera: Camera) -> Renderer:
+    """What renders a simulated robot's images from a scene model."""
+    quality = quality_named(None, bool(scene.depth), Quality.FINE)
+    return Renderer.of_scene(scene, 4 * camera.width, quality=quality)
+
 
 class ModelRobot(SimulatedRobot):
     """A robot in a scene model. What the model does not cover is grey, as a bare wall would be.
@@ -34,11 +43,10 @@ class ModelRobot(SimulatedRobot):
     ) -> None:
         super().__init__(camera, base_from_camera, motion, sensor, rng)
         self._intrinsics = Undistorter(camera).intrinsics
-        quality = quality_named(None, bool(scene.depth), Quality.FINE)
-        self._renderer = Renderer.of_scene(scene, 4 * camera.width, quality=quality)
+        self._renderer = renderer_of_model(scene, camera)
 
     def take_image(self) -> ImageArray:
         """The view at the true pose, ``(H, W, 3)`` RGB."""
         view = self._renderer.render(self._world_from_camera, self._intrinsics)
-        image = np.where(view.covered[..., None], view.image, np.uint8(128)).astype(np.uint8)
+        image = np.where(view.covered[..., None], view.image, np.uint8(NOTHING)).astype(np.uint8)
         return as_recorded(image, self._sensor, self._rng)

@@ -1,0 +1,95 @@
+"""``--robot model:WORLD``: images of a robot that goes from area to area of a world."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipelines.artifacts.arrays import IntArray
+from pipelines.artifacts.errors import InputError
+from pipelines.artifacts.kinds import AREA_FOLDER, WORLD_FILE
+from pipelines.artifacts.provenance import sha256_of_file
+from pipelines.dock.robots.choice import RobotOptions, robot_named
+from pipelines.dock.robots.noise import SensorNoise
+from pipelines.geometry.pose import world_from_base_planar
+from pipelines.lightfield.recorded_paths import recorded_paths
+from pipelines.lightfield.scene import Scene
+from pipelines.lightfield.scene_file import as_stored, identified, save_scene
+from pipelines.lightfield.world_file import World, WorldArea, area_path, save_index
+from tests.room_samples import HIGH, PARTITION_X, seen
+from tests.two_room_samples import MOUNT, two_rooms
+
+EXACT = RobotOptions(sensor=SensorNoise(0.0, 0.0), camera_width=96)
+
+
+def part_of(scene: Scene, views: IntArray) -> Scene:
+    """A scene of some of the views."""
+    stored = [as_stored(d.inverse_depth, d.confident) for d in scene.depth]
+    part = replace(
+        scene,
+        image_names=tuple(scene.image_names[view] for view in views),
+        encoded_images=tuple(scene.encoded_images[view] for view in views),
+        timestamps=scene.timestamps[views],
+        camera_index=scene.camera_index[views],
+        world_from_camera=scene.world_from_camera[views],
+        depth=tuple(stored[view] for view in views),
+    )
+    return identified(part)
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The two rooms as a world of two areas, divided at the doorway."""
+    path, scene = tmp_path_factory.mktemp("rooms") / "world", two_rooms()
+    (path / AREA_FOLDER).mkdir(parents=True)
+    x = scene.world_from_camera[:, 0, 3]
+    ends = {"west": (0.0, PARTITION_X), "east": (PARTITION_X, float(HIGH[0]))}
+    areas = []
+    for name, (low, high) in ends.items():
+        views = np.flatnonzero((x > low - 0.5) & (x < high + 0.5))
+        part = part_of(scene, views)
+        save_scene(area_path(path, name), part, overwrite=False)
+        rectangle = np.array([low, high, 0.0, HIGH[1]])
+        other = next(neighbour for neighbour in ends if neighbour != name)
+        digest = sha256_of_file(area_path(path, name))
+        areas.append(
+            WorldArea(name, views, rectangle, rectangle, (other,), part.identifier, digest, 1, 1)
+        )
+    paths = recorded_paths(scene.world_from_camera)
+    home = (x > PARTITION_X).astype(np.int64)
+    index = World(
+        scene.image_names, scene.timestamps, scene.world_from_camera, home, paths.links,
+        paths.lengths, tuple(areas), {"method": "file"}, {},
+    )  # fmt: skip
+    save_index(path / WORLD_FILE, index)
+    return path
+
+
+@pytest.mark.parametrize("state", [(1.2, 1.5, 0.1), (3.3, 1.45, 0.0), (4.0, 1.45, 3.0)])
+def test_it_sees_what_there_is_to_see_in_both_areas(
+    world: Path, state: tuple[float, float, float]
+) -> None:
+    robot = robot_named(f"model:{world}", two_rooms(), replace(EXACT, true_start=state), 0)
+    image = robot.take_image().astype(np.float64)
+    truth = seen(world_from_base_planar(np.array(state)) @ MOUNT)[0].astype(np.float64)
+    assert np.median(np.abs(image - truth)) < 4.0
+    assert np.mean(np.all(image == 128.0, axis=2)) < 0.02
+
+
+def test_through_the_door_it_sees_the_area_next_to_its_own(world: Path) -> None:
+    state = np.array([3.3, 1.45, 0.0])
+    robot = robot_named(f"model:{world}", two_rooms(), replace(EXACT, true_start=tuple(state)), 0)
+    before = robot.take_image()
+    area_path(world, "east").rename(world / "away.h5")
+    try:
+        with pytest.raises(InputError, match="is missing"):
+            robot_named(f"model:{world}", two_rooms(), EXACT, 0)
+    finally:
+        (world / "away.h5").rename(area_path(world, "east"))
+    np.testing.assert_array_equal(robot.take_image(), before)
+
+
+def test_a_folder_that_is_no_world_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="world"):
+        robot_named(f"model:{tmp_path}", two_rooms(), EXACT, 0)
