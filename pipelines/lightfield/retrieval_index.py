@@ -108,13 +108,13 @@ def describe(image: ImageArray, camera: Camera, used: ImageArray | None = None) 
     return np.asarray(levels, dtype=np.uint8)
 
 
-def features_of(scene: Scene) -> list[ImageArray]:
-    """The features of each photo of a scene, as ``describe`` makes them."""
+def features_of(scene: Scene, views: Sequence[int]) -> list[ImageArray]:
+    """The features of some photos of a scene, as ``describe`` makes them."""
 
     def of_view(view: int) -> ImageArray:
         return describe(scene.image(view), scene.camera_of(view))
 
-    return list(in_threads(of_view, range(len(scene))))
+    return list(in_threads(of_view, views))
 
 
 def unit_vectors(descriptors: ImageArray) -> Float32Array:
@@ -133,8 +133,8 @@ def build_retrieval_index(
     """Learns the vocabulary and fills the index, one part of the map after the other.
 
     Args:
-        parts: each returns the features of some photos, by their numbers; called three times, and
-            no two are held in memory at once. Of a photo in several parts the first counts.
+        parts: each returns the features of some photos, by their numbers, which are in no other
+            part; called three times, and no two parts are held in memory at once.
         photos: how many the map has; those in no part have no features.
         rng: chooses what the vocabulary is learnt from.
         progress: told how far the work is.
@@ -142,7 +142,7 @@ def build_retrieval_index(
     Raises:
         InputError: what a part raises.
     """
-    described = {photo: len(descriptors) for photo, descriptors in _each_once(parts)}
+    described = {photo: len(descriptors) for photo, descriptors in _each(parts)}
     counts = np.zeros(photos, dtype=np.int64)
     counts[list(described)] = list(described.values())
     total = int(counts.sum())
@@ -150,13 +150,13 @@ def build_retrieval_index(
     chosen = np.sort(rng.choice(total, sample_size(total), replace=False))
     # A map without any feature has a vocabulary too.
     sample = np.zeros((max(1, len(chosen)), 128), dtype=np.uint8)
-    for photo, descriptors in _each_once(parts):
+    for photo, descriptors in _each(parts):
         first, end = np.searchsorted(chosen, starts[photo : photo + 2])
         sample[first:end] = descriptors[chosen[first:end] - starts[photo]]
     vocabulary = learn_vocabulary(unit_vectors(sample), total, rng)
     words = np.zeros(total, dtype=np.int32)
     signatures = np.zeros(total, dtype=np.uint64)
-    remaining = iter(progress(_each_once(parts), "index photos", len(described)))
+    remaining = iter(progress(_each(parts), "index photos", len(described)))
     while batch := list(islice(remaining, BATCH)):
         rows = np.concatenate([np.arange(starts[p], starts[p + 1]) for p, _ in batch])
         together = np.concatenate([descriptors for _, descriptors in batch])
@@ -169,11 +169,7 @@ def build_retrieval_index(
     return RetrievalIndex(vocabulary, np.append(0, ends), owners[order], signatures[order], photos)
 
 
-def _each_once(parts: Sequence[Callable[[], PhotoFeatures]]) -> Iterator[tuple[int, ImageArray]]:
-    """Photos and their descriptors, part by part; a photo in several parts once."""
-    seen: set[int] = set()
+def _each(parts: Sequence[Callable[[], PhotoFeatures]]) -> Iterator[tuple[int, ImageArray]]:
+    """Photos and their descriptors, part by part."""
     for part in parts:
-        for photo, descriptors in part().items():
-            if photo not in seen:
-                seen.add(photo)
-                yield photo, descriptors
+        yield from part().items()

@@ -148,16 +148,17 @@ def test_scores_are_those_of_comparing_every_feature_with_every_other() -> None:
     assert np.argmax(index.scores(unit_vectors(query))) in (3, 7)
 
 
-def test_a_photo_in_several_parts_counts_once() -> None:
+def test_parts_are_taken_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
     features = {number: descriptors(30, number) for number in range(6)}
-    parts = [
-        {number: features[number] for number in (0, 1, 2, 3)},
-        {number: features[number] for number in (2, 3, 4, 5)},
-    ]
-    together = build_retrieval_index([lambda: features], 6, np.random.default_rng(0))
-    apart = build_retrieval_index([lambda: parts[0], lambda: parts[1]], 6, np.random.default_rng(0))
+    early, late = [{number: features[number] for number in part} for part in ((0, 2, 5), (1, 3))]
+    together = build_retrieval_index([lambda: early | late], 6, np.random.default_rng(0))
+    # And in steps of a few features.
+    monkeypatch.setattr("pipelines.lightfield.visual_words.MAX_DISTANCES", 40)
+    apart = build_retrieval_index([lambda: early, lambda: late], 6, np.random.default_rng(0))
+    assert apart.count == 6
     for name in ("starts", "photos", "signatures"):
         np.testing.assert_array_equal(getattr(apart, name), getattr(together, name))
+    assert 4 not in apart.photos
 
 
 def test_a_map_without_features_finds_nothing() -> None:
