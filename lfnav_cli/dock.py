@@ -171,7 +171,7 @@ def parse_fault(
     metavar="KIND:STEP",
     callback=parse_fault,
     help="Simulated robots: a fault from this step on; blocked, slipping, black, frozen, people, "
-    "cover or driver.",
+    "cover or driver; or door@X,Y:STEP, a doorway that is closed although the map shows it open.",
 )
 @overwrite_option
 @json_option
@@ -208,9 +208,10 @@ def command(
     """Drives a robot to a goal in SCENE.h5 by what its camera sees, and writes the run.
 
     The robot rotates until it is localized, drives to a staging pose behind the goal, and
-    approaches in smaller and smaller steps. Exit codes: 0 docked, 10 lost, 11 blocked, 12 out of
-    the allowed area, 13 timed out, 14 robot failed, 15 view blocked, 130 interrupted; the robot is
-    stopped and the run is saved in every case.
+    approaches in smaller and smaller steps. Where the surface lies in between, in another room, it
+    takes a route over places where the map's photos were taken. Exit codes: 0 docked, 10 lost, 11
+    blocked, 12 out of the allowed area, 13 timed out, 14 robot failed, 15 view blocked, 16 no way,
+    130 interrupted; the robot is stopped and the run is saved in every case.
 
     Every setting of a config file is an option of the same name, those of lfnav localize among
     them; those not listed here are printed by --print-config and explained in docs/settings.md.

@@ -45,6 +45,13 @@ if TYPE_CHECKING:
     help="With PnP: take landmarks from the points of the reconstruction that SCENE was made from. "
     "Default: from the scene's depth maps or plane.",
 )
+@click.option(
+    "--memory",
+    type=float,
+    metavar="MB",
+    help="In a world of areas: what localization may take of memory beyond the program itself; "
+    "areas are opened and closed within it. Default: 1000.",
+)
 @click.option("--seed", type=int, default=0, show_default=True, help="Random seed.")
 @overwrite_option
 @json_option
@@ -59,6 +66,7 @@ def command(
     odometry: str | None,
     mask: Path | None,
     reconstruction: Path | None,
+    memory: float | None,
     seed: int,
     chosen: "Mapping[str, Any]",
     overwrite: bool,
@@ -66,6 +74,8 @@ def command(
     progress: "Progress",
 ) -> None:
     """Localizes the robot of DATASET in SCENE, frame by frame, and writes a run file.
+
+    SCENE is a scene model, or the folder of a world of several.
 
     Every setting of a config file is an option of the same name; those not listed here are printed
     by --print-config and explained in docs/settings.md.
@@ -100,5 +110,6 @@ def command(
         mask=mask,
         reconstruction=reconstruction,
         overwrite=overwrite,
+        memory=memory,
     )
     print_summary(localize(request, progress), as_json)

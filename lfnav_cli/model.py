@@ -85,6 +85,12 @@ if TYPE_CHECKING:
     metavar="N",
     help="Areas that are built at once, each in a process. Default: 1.",
 )
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Dask scheduler whose workers build the areas, like tcp://host:8786; needs "
+    "lfnav[cluster]. Its workers need the same files under the same paths.",
+)
 @overwrite_option
 @json_option
 @common_options
@@ -102,6 +108,7 @@ def command(
     area_views: int | None,
     area_memory: float | None,
     jobs: int | None,
+    scheduler: str | None,
     overwrite: bool,
     as_json: bool,
     progress: "Progress",
@@ -146,14 +153,19 @@ def command(
             views=area_views,
             megabytes=area_memory,
             jobs=1 if jobs is None else jobs,
+            scheduler=scheduler,
         )
         world = model_world(
             reconstruction, output, divided, settings, overwrite=overwrite, progress=progress
         )
         print_summary(world, as_json)
         return
-    given = {"--area-views": area_views, "--area-memory": area_memory, "--jobs": jobs}
-    for name, value in given.items():
+    for name, value in {
+        "--area-views": area_views,
+        "--area-memory": area_memory,
+        "--jobs": jobs,
+        "--scheduler": scheduler,
+    }.items():
         if value is not None:
             raise click.UsageError(f"{name} goes with --areas")
     summary = model(reconstruction, output, settings, overwrite=overwrite, progress=progress)

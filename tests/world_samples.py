@@ -58,11 +58,9 @@ PLACES = [
 ]
 
 
-def seen(pose: FloatArray) -> FloatArray:
-    """``(H, W, 3)`` what a camera sees of the walls, ray by ray; the rooms are painted unlike."""
-    rays = pinhole_rays(CAMERA.intrinsics, pixels_of(CAMERA.intrinsics)) @ pose[:3, :3].T
-    centre = pose[:3, 3]
-    reach = np.full(rays.shape[:2], np.inf)
+def surfaces_met(centre: FloatArray, rays: FloatArray) -> FloatArray:
+    """How far along rays ``(..., 3)`` from a place walls, floor or ceiling are met, in rays."""
+    reach = np.full(rays.shape[:-1], np.inf)
     with np.errstate(divide="ignore", invalid="ignore"):
         for axis, offsets in ((0, (-4.0, 0.0, 4.0)), (1, (-2.0, 2.0)), (2, (0.0, 3.0))):
             for offset in offsets:
@@ -71,6 +69,14 @@ def seen(pose: FloatArray) -> FloatArray:
                 open_door = (axis == 0) & (offset == 0.0) & (np.abs(y) < HALF_DOOR)
                 met = (distance > 1e-9) & (distance < reach) & ~open_door
                 reach = np.where(met, distance, reach)
+    return reach
+
+
+def seen(pose: FloatArray) -> FloatArray:
+    """``(H, W, 3)`` what a camera sees of the walls, ray by ray; the rooms are painted unlike."""
+    rays = pinhole_rays(CAMERA.intrinsics, pixels_of(CAMERA.intrinsics)) @ pose[:3, :3].T
+    centre = pose[:3, 3]
+    reach = surfaces_met(centre, rays)
     points = centre + reach[..., None] * rays
     return np.asarray(waves(points + np.where(points[..., :1] > 0.0, 7.0, 0.0)))
 

@@ -49,6 +49,11 @@ def kind_of(path: Path) -> Kind:
     raise InputError(path, f"is an HDF5 file of format {quoted(found)}, which lfnav does not know")
 
 
+def is_world(path: Path) -> bool:
+    """Whether a path is the folder of a world; half a world is none."""
+    return (path / WORLD_FILE).is_file()
+
+
 def refuse_world(path: Path) -> None:
     """Says what to do with a world where one scene is needed.
 

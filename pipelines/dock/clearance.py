@@ -44,6 +44,13 @@ class Clearance:
             return float("inf")
         return _wall_distance(self._plane, state, self._height)
 
+    def distances(self, places: FloatArray) -> FloatArray:
+        """Metres from places ``(M, 2)`` to the surface: ``(M,)``, as ``distance`` says."""
+        if self._obstacles is not None:
+            return np.asarray(self._obstacles.query(places)[0])
+        states = np.pad(places, ((0, 0), (0, 1)))
+        return np.array([self.distance(state) for state in states])
+
     def is_inside(self, state: FloatArray) -> bool:
         """Whether the robot's camera at a state ``(3,)`` would be inside the surface."""
         if self._obstacles is None:

@@ -155,6 +155,28 @@ def diff_movement_along(state: FloatArray, goal: FloatArray, settings: DockSetti
     return _drive(heading, course, step, settings)
 
 
+def movement_to_place(
+    state: FloatArray, place: FloatArray, faced: FloatArray, settings: DockSettings
+) -> Movement:
+    """The next movement straight to a place, the camera ahead, without any heading there.
+
+    Args:
+        state: ``(3,)`` where the robot is.
+        place: ``(2,)`` where it is to go, metres.
+        faced: ``(2,)`` what an omnidirectional drive looks at on the way, metres.
+        settings: limits of one movement.
+    """
+    offset = place - state[:2]
+    course = math.atan2(offset[1], offset[0])
+    if settings.drive == "diff":
+        error = math.remainder(course - float(state[2]), 2.0 * math.pi)
+        distance = min(settings.largest_step, float(np.hypot(*offset)))
+        return _drive(0.0, error, distance, settings)
+    heading = math.atan2(*(faced - state[:2])[::-1])
+    target = np.array([*place, heading])
+    return omni_movement(state, target, settings.largest_step, settings.largest_turn)
+
+
 def nearing(distance: float, settings: DockSettings) -> float:
     """Length of the next step (metres) at a distance from the target: shorter near it."""
     return min(settings.largest_step, max(0.5 * distance, NEAR))

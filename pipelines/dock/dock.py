@@ -26,6 +26,7 @@ from pipelines.dock.exploration import Explorer
 from pipelines.dock.fine_alignment import FineAlignment
 from pipelines.dock.planar_motion import distance_between, position_sigma
 from pipelines.dock.pose_estimate import PoseEstimate, pose_estimate_of
+from pipelines.dock.road_map import road_map_of_scene
 from pipelines.dock.robot import STANDSTILL, CheckedRobot, Movement, RobotError
 from pipelines.dock.safety import Safety
 from pipelines.dock.settings import DockSettings
@@ -156,6 +157,7 @@ def equipment_of(
     goal_note = visibility.check_goal(goal)
     settings, staging_note = visibility.visible_staging(goal, settings)
     explorer = Explorer(renderer, robot.base_from_camera, intrinsics, safety)
+    road_map = road_map_of_scene(scene)
     reach = settings.staging_distance + ALIGNED_BEYOND_STAGING
     alignment = FineAlignment(
         scene, robot.camera, robot.base_from_camera, chosen, goal, reach, mask
@@ -165,7 +167,7 @@ def equipment_of(
         localizer_of(chosen.start),
         lambda: localizer_of(None),
         alignment,
-        DockingStateMachine(goal, settings, safety, explorer),
+        DockingStateMachine(goal, settings, safety, explorer, road_map),
         settings,
         mask,
         tuple(note for note in (goal_note, staging_note) if note),

@@ -5,7 +5,7 @@ holds goal, settings and safety bounds, which do not change; all that does chang
 out as a ``DockingState``.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from pipelines.artifacts.arrays import FloatArray
 from pipelines.dock.controller import (
@@ -18,6 +18,7 @@ from pipelines.dock.controller import (
 from pipelines.dock.covered_view import ViewWait, next_viewpoint
 from pipelines.dock.dead_reckoning import DeadReckonedPose
 from pipelines.dock.exploration import DIRECTIONS, ENOUGH_COVERED, Explorer, Search
+from pipelines.dock.navigation import Navigator
 from pipelines.dock.planar_motion import (
     behind,
     distance_between,
@@ -28,10 +29,11 @@ from pipelines.dock.planar_motion import (
     yaw_between,
 )
 from pipelines.dock.pose_estimate import PoseEstimate
+from pipelines.dock.road_map import RoadMap
 from pipelines.dock.robot import STANDSTILL, Movement
 from pipelines.dock.safety import Safety
 from pipelines.dock.settings import DockSettings
-from pipelines.dock.states import DockingState, Outcome, OutcomeKind, Phase
+from pipelines.dock.states import Decision, DockingState, Outcome, OutcomeKind, Phase
 
 # The robot drives after this many consecutive images in which it is localized.
 LOCALIZED_IMAGES = 3
@@ -64,21 +66,6 @@ SMALLEST_TRIAL, LARGEST_TRIAL = 0.05, 0.15
 HINT_CONFIDENCE, MOST_HINTS = 0.1, 6
 
 
-@dataclass(frozen=True)
-class Decision:
-    """What to do next.
-
-    Attributes:
-        state: the state of docking from now on.
-        movement: the next movement, unless there is an outcome.
-        outcome: how docking ended; None while it goes on.
-    """
-
-    state: DockingState
-    movement: Movement = STANDSTILL
-    outcome: Outcome | None = None
-
-
 class DockingStateMachine:
     """Decides on the next movement.
 
@@ -87,16 +74,25 @@ class DockingStateMachine:
         settings: how to move, and when to stop.
         safety: bounds of all movements.
         explorer: chooses the movements of a search.
+        road_map: places that can be driven on the way to the staging pose; None: not known.
     """
 
     def __init__(
-        self, goal: FloatArray, settings: DockSettings, safety: Safety, explorer: Explorer
+        self,
+        goal: FloatArray,
+        settings: DockSettings,
+        safety: Safety,
+        explorer: Explorer,
+        road_map: RoadMap | None = None,
     ) -> None:
         self.goal = goal
         self.staging = behind(goal, settings.staging_distance)
         self.settings = settings
         self._safety = safety
         self._explorer = explorer
+        self._navigator = (
+            None if road_map is None else Navigator(road_map, safety, self.staging, settings)
+        )
 
     def decide(
         self,
@@ -125,7 +121,9 @@ class DockingStateMachine:
             search=state.search.after(measured),
             last_known=None if state.last_known is None else state.last_known.after(measured),
             is_covered=state.is_covered and not estimate.is_localized,
+            travel=state.travel.after(measured, is_stalled),
         )
+        seen = self._evading(seen, estimate)
         outcome = self._failure(seen, estimate)
         if outcome is not None:
             return Decision(replace(seen, phase=Phase.FINISHED), outcome=outcome)
@@ -246,10 +244,15 @@ class DockingStateMachine:
         return Movement(turn=max(-LARGEST_TRIAL, min(LARGEST_TRIAL, yaw)))
 
     def _driving(self, state: DockingState, estimate: PoseEstimate) -> Decision:
-        """Staging, approach or alignment of a robot that is localized."""
+        """Route, staging, approach or alignment of a robot that is localized."""
         last_known = DeadReckonedPose(estimate.state, estimate.covariance)
+        has_moved = state.last_known is not None and not state.last_known.agrees_with(estimate)
         state = replace(state, last_known=last_known, is_covered=False)
         phase = self._next_phase(state, estimate)
+        if phase is Phase.STAGING:
+            travelling = self._travelling(state, estimate, has_moved)
+            if travelling is not None:
+                return travelling
         is_attempt = phase is Phase.APPROACH and state.phase is not Phase.APPROACH
         state = replace(state, phase=phase, attempts=state.attempts + is_attempt)
         if phase is Phase.STAGING:
@@ -281,6 +284,46 @@ class DockingStateMachine:
         offset = movement_between(self.goal, estimate.state)
         is_astray = abs(offset.left) > LARGEST_OFFSET or offset.forward > ALIGNMENT_DISTANCE
         return Phase.STAGING if is_astray else Phase.APPROACH
+
+    def _travelling(
+        self, state: DockingState, estimate: PoseEstimate, has_moved: bool
+    ) -> Decision | None:
+        """The next movement along a route; None where a straight line leads to the staging pose.
+
+        Args:
+            state: of docking.
+            estimate: where the robot is by this image.
+            has_moved: whether that is elsewhere than odometry says.
+        """
+        navigator = self._navigator
+        if navigator is None or state.phase not in (Phase.SEARCHING, Phase.ROUTE):
+            return None
+        if state.phase is Phase.SEARCHING and not navigator.is_needed(estimate.state):
+            return None
+        travel = state.travel
+        if not travel.is_stuck:
+            travel = navigator.next(travel, estimate.state, has_moved)
+        if navigator.has_arrived(travel):
+            return None
+        state = replace(state, phase=Phase.ROUTE, travel=travel)
+        if travel.failures >= LARGEST_REFUSED:
+            outcome = Outcome(OutcomeKind.NO_WAY, navigator.objection(travel))
+            return Decision(replace(state, phase=Phase.FINISHED), outcome=outcome)
+        decision = self._allowed(state, estimate, navigator.movement(travel, estimate.state))
+        if decision.outcome is None:
+            return decision
+        # Too narrow for what is known of the position: perhaps there is another way.
+        travel = navigator.blocked(travel, estimate.state, is_on_map=True)
+        return Decision(replace(state, refused_movements=0, travel=travel))
+
+    def _evading(self, state: DockingState, estimate: PoseEstimate) -> DockingState:
+        """The state of a robot on a route that has to look for another way after stalls."""
+        is_stalled = state.stalled_movements >= LARGEST_STALLED and estimate.is_localized
+        on_route = state.phase is Phase.ROUTE and not state.travel.is_stuck
+        if self._navigator is None or not (is_stalled and on_route):
+            return state
+        travel = self._navigator.blocked(state.travel, estimate.state)
+        return replace(state, stalled_movements=0, travel=travel)
 
     def _must_retry(self, state: DockingState, estimate: PoseEstimate) -> bool:
         """Whether alignment took too many steps or led away from the goal."""

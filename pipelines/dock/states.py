@@ -5,6 +5,8 @@ The robot is in one **phase** at a time (``Phase``). (``state`` without more is 
 | phase     | goes on to | when                                                               |
 |-----------|------------|--------------------------------------------------------------------|
 | searching | staging    | localized in three consecutive images                              |
+|           | route      | the same, where no straight line leads to the staging pose         |
+| route     | staging    | a straight line leads to the staging pose                          |
 | staging   | approach   | at the staging pose; each time counts as an attempt                |
 | approach  | alignment  | within 12 cm of the goal                                           |
 |           | staging    | too far from the goal's axis, or beyond the goal                   |
@@ -23,6 +25,8 @@ from enum import Enum
 from pipelines.dock.covered_view import ViewWait
 from pipelines.dock.dead_reckoning import DeadReckonedPose
 from pipelines.dock.exploration import Search
+from pipelines.dock.navigation import Travel
+from pipelines.dock.robot import STANDSTILL, Movement
 
 
 class Phase(Enum):
@@ -30,6 +34,7 @@ class Phase(Enum):
 
     SEARCHING = "searching"
     WAITING = "waiting"
+    ROUTE = "route"
     STAGING = "staging"
     APPROACH = "approach"
     ALIGNMENT = "alignment"
@@ -46,6 +51,7 @@ class OutcomeKind(Enum):
     TIMED_OUT = 13
     ROBOT_FAILED = 14
     VIEW_BLOCKED = 15
+    NO_WAY = 16
     INTERRUPTED = 130
 
     @property
@@ -93,6 +99,7 @@ class DockingState:
         resumed: the phase to go back to when the view is clear again.
         is_covered: whether waiting for a clear view was in vain and the robot has not been
             localized since.
+        travel: progress on the route to the staging pose.
     """
 
     phase: Phase = Phase.SEARCHING
@@ -113,3 +120,19 @@ class DockingState:
     wait: ViewWait | None = None
     resumed: Phase = Phase.STAGING
     is_covered: bool = False
+    travel: Travel = field(default_factory=Travel)
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What to do next.
+
+    Attributes:
+        state: the state of docking from now on.
+        movement: the next movement, unless there is an outcome.
+        outcome: how docking ended; None while it goes on.
+    """
+
+    state: DockingState
+    movement: Movement = STANDSTILL
+    outcome: Outcome | None = None

@@ -4,18 +4,14 @@ The cluster's workers need lfnav, and the scenes and data sets under the same pa
 sent back and stored where the sweep was started.
 """
 
-import logging
 from collections.abc import Iterator, Sequence
 
-from distributed import Client, Future, Worker, WorkerPlugin, as_completed, get_worker
+from distributed import Future, Worker, WorkerPlugin, as_completed, get_worker
 
-from pipelines.artifacts.errors import OptionError
+from pipelines.artifacts.cluster import cluster_at
 from pipelines.experiments.sweep_run import Outcome, RunExecutor, SweepRun
 
 PLUGIN = "lfnav-sweep"
-CONNECT_SECONDS = 15
-
-_log = logging.getLogger(__name__)
 
 
 class ExecutorPlugin(WorkerPlugin):  # type: ignore[misc]
@@ -40,14 +36,8 @@ def run_on_cluster(runs: Sequence[SweepRun], address: str) -> Iterator[tuple[Swe
     Raises:
         OptionError: no scheduler answers at the address.
     """
-    try:
-        client = Client(address, timeout=CONNECT_SECONDS)
-    except (OSError, ValueError) as error:
-        raise OptionError(f"no Dask scheduler answers at {address} ({error})") from error
-    with client:
+    with cluster_at(address) as client:
         client.register_plugin(ExecutorPlugin(), name=PLUGIN)
-        if not client.scheduler_info()["workers"]:
-            _log.warning("the cluster at %s has no workers yet; waiting for them", address)
         futures = {client.submit(_outcome, run, pure=False): run for run in runs}
         try:
             for future in as_completed(futures):

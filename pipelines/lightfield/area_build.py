@@ -1,4 +1,4 @@
-"""Building the scenes of areas, one after the other or in several processes.
+"""Building the scenes of areas: one after the other, in several processes, or on a cluster.
 
 No area needs the photos of the others: a task holds the area's part of the reconstruction, and what
 comes back is a summary of the finished file. Finished files are kept in a folder beside the output
@@ -13,7 +13,7 @@ import logging
 import multiprocessing
 import signal
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +22,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray, IntArray
-from pipelines.artifacts.errors import InputError, LfnavError, StageError
+from pipelines.artifacts.cluster import cluster_at
+from pipelines.artifacts.errors import InputError, LfnavError, StageError, quoted
 from pipelines.artifacts.processes import die_with_parent
 from pipelines.artifacts.provenance import provenance, sha256_of_file, version_of
 from pipelines.artifacts.stages import Progress, no_progress
@@ -150,12 +151,16 @@ def build_area(task: AreaTask, progress: Progress = no_progress) -> BuiltArea:
     )
 
 
-def build_areas(tasks: Sequence[AreaTask], jobs: int, progress: Progress) -> list[BuiltArea]:
+def build_areas(
+    tasks: Sequence[AreaTask], jobs: int, scheduler: str | None, progress: Progress
+) -> list[BuiltArea]:
     """Builds areas in order, or several at once.
 
     Args:
         tasks: the areas.
         jobs: number of processes; 1: this one, and no other.
+        scheduler: address of a Dask scheduler, whose workers build the areas instead; they need
+            the same files under the same paths. None: this machine builds them.
         progress: told how far the work is.
 
     Returns:
@@ -163,26 +168,48 @@ def build_areas(tasks: Sequence[AreaTask], jobs: int, progress: Progress) -> lis
 
     Raises:
         LfnavError: an area cannot be built, or its process ended; those that are finished are kept.
+        OptionError: Dask is not installed, or no scheduler answers.
     """
+    if scheduler is not None:
+        with cluster_at(scheduler) as client:
+            # Where a worker is lost, Dask gives its area to another one, which goes on with the
+            # depth maps that are finished.
+            return _built_by(client.get_executor(pure=False), tasks, progress)
     if jobs == 1:
         return [build_area(task, _naming(task.name, progress)) for task in tasks]
     context = multiprocessing.get_context("spawn")
-    built: dict[int, BuiltArea] = {}
     with ProcessPoolExecutor(min(jobs, len(tasks)), context, _prepare_process) as pool:
-        waiting = {pool.submit(build_area, task): number for number, task in enumerate(tasks)}
-        try:
-            for done in progress(as_completed(waiting), "areas", len(tasks)):
-                built[waiting[done]] = done.result()
-        except BrokenProcessPool as error:
-            names = ", ".join(t.name for n, t in enumerate(tasks) if n not in built)
-            raise StageError(
-                f"a process that built an area was ended, for lack of memory perhaps; finished "
-                f"areas are kept, missing are {names}: run it again, with fewer --jobs"
-            ) from error
-        except (LfnavError, KeyboardInterrupt):
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+        return _built_by(pool, tasks, progress)
+
+
+def _built_by(pool: Executor, tasks: Sequence[AreaTask], progress: Progress) -> list[BuiltArea]:
+    """What the processes of a pool or a cluster make of the tasks, in their order."""
+    built: dict[int, BuiltArea] = {}
+    waiting = {pool.submit(build_area, task): number for number, task in enumerate(tasks)}
+    try:
+        for done in progress(as_completed(waiting), "areas", len(tasks)):
+            built[waiting[done]] = done.result()
+    except (LfnavError, KeyboardInterrupt):
+        _cancel(waiting)
+        raise
+    except Exception as error:
+        # A process was killed, or a worker of a cluster has another lfnav, other files, no room.
+        _cancel(waiting)
+        names = ", ".join(task.name for number, task in enumerate(tasks) if number not in built)
+        how = "was ended, for lack of memory perhaps"
+        if not isinstance(error, BrokenProcessPool):
+            how = f"failed ({quoted(f'{type(error).__name__}: {error}')})"
+        raise StageError(
+            f"a process that built an area {how}; finished areas are kept, missing are {names}: "
+            "run it again, with fewer processes at once"
+        ) from error
     return [built[number] for number in range(len(tasks))]
+
+
+def _cancel(futures: Iterable[Future[BuiltArea]]) -> None:
+    """Takes back what has not begun."""
+    for future in futures:
+        future.cancel()
 
 
 def _prepare_process() -> None:

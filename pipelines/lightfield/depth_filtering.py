@@ -17,6 +17,7 @@ from pipelines.artifacts.arrays import FloatArray, IntArray
 from pipelines.artifacts.errors import OptionError
 from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.lightfield.depth_completion import complete_depth
+from pipelines.lightfield.packed_depth import PackedDepthMaps
 from pipelines.lightfield.stereo_depth import DepthMap, DepthSettings, pixel_transfer
 
 # Rounds of fusion: the second works on the maps that the first has corrected.
@@ -32,7 +33,7 @@ def refine_depth_maps(
     settings: DepthSettings,
     workers: int = 1,
     progress: Progress = no_progress,
-) -> tuple[DepthMap, ...]:
+) -> PackedDepthMaps:
     """Depth maps that agree with each other: fused in rounds, then completed.
 
     Args:
@@ -54,14 +55,19 @@ def refine_depth_maps(
             f"{len(maps)} depth maps, {len(world_from_camera)} poses and {len(neighbours)} lists "
             "of neighbours do not belong together"
         )
-    current = tuple(maps)
+    count = len(maps)
     with ThreadPoolExecutor(max_workers=max(1, workers)) as pool:
         for number in range(ROUNDS):
-            fuse = partial(_fuse_view, current, world_from_camera, neighbours, settings)
-            fused = pool.map(fuse, range(len(current)))
-            current = tuple(progress(fused, f"fuse depth {number + 1}/{ROUNDS}", len(current)))
-        completed = pool.map(complete_depth, current)
-        return tuple(progress(completed, "complete depth", len(current)))
+            fuse = partial(_fuse_view, maps, world_from_camera, neighbours, settings)
+            fused = pool.map(fuse, range(count))
+            maps = PackedDepthMaps(progress(fused, f"fuse depth {number + 1}/{ROUNDS}", count))
+        # One after the other: a sequence that is handed over would be unpacked at once.
+        completed = pool.map(partial(_complete_view, maps), range(count))
+        return PackedDepthMaps(progress(completed, "complete depth", count))
+
+
+def _complete_view(maps: Sequence[DepthMap], view: int) -> DepthMap:
+    return complete_depth(maps[view])
 
 
 def _fuse_view(

@@ -20,23 +20,29 @@ import numpy as np
 from pipelines.artifacts.arrays import Float32Array, FloatArray, ImageArray
 from pipelines.artifacts.atomic import write_bytes
 from pipelines.artifacts.errors import InputError
-from pipelines.artifacts.processes import processor_count
+from pipelines.artifacts.processes import in_threads, processor_count
 from pipelines.artifacts.stages import Progress
 from pipelines.dataset.dataset import DEPTH_LIST, load_dataset
 from pipelines.dataset.images import decode_depth, read_image_bytes
 from pipelines.geometry.camera import Intrinsics, Undistorter
 from pipelines.geometry.plane import plane_inverse_depth
 from pipelines.lightfield.depth_filtering import refine_depth_maps
+from pipelines.lightfield.packed_depth import PackedDepthMaps
 from pipelines.lightfield.scene import SceneDepth
 from pipelines.lightfield.scene_file import as_stored
-from pipelines.lightfield.stereo_depth import DepthMap, DepthSettings, estimate_depth
+from pipelines.lightfield.stereo_depth import (
+    DepthMap,
+    DepthSettings,
+    estimate_depth,
+    working_photo,
+)
 from pipelines.lightfield.stereo_neighbours import (
     StandIn,
     UsualDepths,
     choose_neighbours,
     depth_range,
 )
-from pipelines.lightfield.views import shrink, shrunk_size
+from pipelines.lightfield.views import shrunk_size
 from pipelines.reconstruct.reconstruction import Reconstruction
 
 _log = logging.getLogger(__name__)
@@ -58,7 +64,7 @@ def depth_from_photos(
 
     Args:
         source: poses, sparse points, hashes of the photos.
-        photos: undistorted, ``(h, w, 3)`` RGB.
+        photos: undistorted, ``(h, w, 3)`` RGB; each is asked for once.
         intrinsics: of each.
         stand_in: gives the depth range of views with too few sparse points.
         settings: of the plane sweep, the matching and the fusion.
@@ -69,6 +75,14 @@ def depth_from_photos(
         StageError: fewer than two photos.
     """
     poses = source.world_from_camera
+    count = len(photos)
+
+    def working(view: int) -> tuple[ImageArray, Intrinsics]:
+        return working_photo(photos[view], intrinsics[view], settings.largest_side)
+
+    # Small and grey: of hundreds of photos at full size memory would not hold all.
+    small = list(progress(in_threads(working, range(count)), "decode photos", count))
+    greys, pinholes = [grey for grey, _ in small], [pinhole for _, pinhole in small]
     neighbours = choose_neighbours(
         poses, intrinsics, stand_in, source.points, source.observations, settings.neighbours
     )
@@ -77,8 +91,7 @@ def depth_from_photos(
     def one(view: int) -> DepthMap:
         stored = None if folder is None else _load(folder, view)
         if stored is not None:
-            _, pinhole = shrink(photos[view], intrinsics[view], settings.largest_side)
-            return DepthMap(stored.inverse_depth, stored.confident, pinhole)
+            return DepthMap(stored.inverse_depth, stored.confident, pinholes[view])
         if len(neighbours[view]) == 0:
             _log.warning(
                 "%s sees nothing that another photo sees; its depth is a guess",
@@ -88,14 +101,14 @@ def depth_from_photos(
         limits = depth_range(
             view, poses, intrinsics[view], stand_in, source.points, source.observations
         )
-        result = estimate_depth(photos, intrinsics, poses, view, neighbours[view], limits, settings)
+        result = estimate_depth(greys, pinholes, poses, view, neighbours[view], limits, settings)
         if folder is not None:
             _store(folder, view, result)
         return result
 
     workers = processor_count()
     with ThreadPoolExecutor(workers) as pool:
-        maps = list(progress(pool.map(one, range(len(photos))), "depth maps", len(photos)))
+        maps = PackedDepthMaps(progress(pool.map(one, range(count)), "depth maps", count))
     refined = refine_depth_maps(maps, poses, neighbours, settings, workers, progress)
     return tuple(as_stored(depth.inverse_depth, depth.confident) for depth in refined)
 

@@ -23,6 +23,8 @@ CELL, LARGEST_SIDE = 0.1, 1500
 REACH_IN_DEPTHS = 1.0
 # Metres above and below its camera within which a ray counts.
 BAND = 0.3
+# The median depth is that of every so many pixels, across and down.
+STRIDE = 4
 # Rays of a depth map across and down.
 RAYS_ACROSS, RAYS_DOWN = 48, 36
 # A cell is free when so many rays pass it, and so many of those that end before it.
@@ -43,7 +45,7 @@ def free_ground(
         depth: their depth maps.
     """
     centres = world_from_camera[:, :3, 3]
-    reach = REACH_IN_DEPTHS * _median_depth(depth)
+    reach = REACH_IN_DEPTHS * median_depth(depth)
     low, high = centres[:, :2].min(axis=0), centres[:, :2].max(axis=0)
     extent = float(np.max(high - low)) + 2.0 * (reach + MARGIN)
     cell = max(CELL, extent / LARGEST_SIDE)
@@ -64,10 +66,10 @@ def free_ground(
     return FreeGround(corner, cell, np.asarray(near, dtype=np.bool_))
 
 
-def _median_depth(depth: Sequence[SceneDepth]) -> float:
-    """Metres along the optical axis, over all known pixels."""
-    known = [view.inverse_depth[view.inverse_depth > 0.0] for view in depth]
-    return 1.0 / float(np.median(np.concatenate(known)))
+def median_depth(depth: Sequence[SceneDepth]) -> float:
+    """Metres along the optical axis, over known pixels all across the maps."""
+    sampled = [view.inverse_depth[::STRIDE, ::STRIDE] for view in depth]
+    return 1.0 / float(np.median(np.concatenate([values[values > 0.0] for values in sampled])))
 
 
 def _along_rays(

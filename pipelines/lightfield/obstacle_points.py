@@ -1,9 +1,17 @@
-"""Obstacle points: where surfaces stand on the floor of a scene, by its depth maps."""
+"""Obstacle points: where surfaces stand on the floor of a scene, by its depth maps.
+
+Where photos look in all directions there are hundreds of depth maps, and some are wrong far away:
+along a corridor they show its wall where a door stands open. Obstacles of a scene without a plane
+are therefore kept only where the views nearby do not see through them (free-space violation,
+Merrell et al. 2007).
+"""
 
 import numpy as np
+import scipy
 
-from pipelines.artifacts.arrays import FloatArray
+from pipelines.artifacts.arrays import BoolArray, FloatArray, IntArray
 from pipelines.geometry.camera import Undistorter
+from pipelines.lightfield.ground_carving import median_depth
 from pipelines.lightfield.scene import Scene
 
 # Points of the surface lower than this are floor, metres.
@@ -13,6 +21,13 @@ FLOOR = 0.12
 PIXEL_STRIDE, CELL = 4, 0.05
 # A cell with fewer points than this is an outlier of a depth map.
 LEAST_POINTS = 3
+# Points of a cell are tested in slices of this height, metres: one may see over a table.
+SLICE = 0.2
+# A view sees through a point when its depth map is farther by more than this, metres and share of
+# the depth. Views that are more than so many median depths away are not asked.
+SLACK, SLACK_SHARE, NEARBY_IN_DEPTHS = 0.1, 0.03, 2.0
+# A point is there when so many views see it, as a multiple of those that see through it.
+SEEN_SHARE = 1.0
 
 
 def obstacle_points(scene: Scene, top: float) -> FloatArray | None:
@@ -26,17 +41,20 @@ def obstacle_points(scene: Scene, top: float) -> FloatArray | None:
         return None
     points = [_points_of_view(scene, index, top) for index in range(len(scene))]
     places = np.concatenate(points)
-    cells = np.floor(places / CELL).astype(np.int64)
+    cells = np.floor(places[:, :2] / CELL).astype(np.int64)
     _, owner, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
     owner = owner.reshape(-1)
     sums = [np.bincount(owner, places[:, axis], len(counts)) for axis in range(2)]
+    kept = counts >= LEAST_POINTS
+    if scene.surface is None:
+        kept &= _standing(scene, places, owner, kept)
     # The mean of a cell's points, not its centre: in narrow passages centimetres count.
-    kept = np.stack(sums, axis=1)[counts >= LEAST_POINTS] / counts[counts >= LEAST_POINTS, None]
-    return None if len(kept) == 0 else np.asarray(kept, dtype=np.float64)
+    means = np.stack(sums, axis=1)[kept] / counts[kept, None]
+    return None if len(means) == 0 else np.asarray(means, dtype=np.float64)
 
 
 def _points_of_view(scene: Scene, index: int, top: float) -> FloatArray:
-    """Positions ``(M, 2)`` of the obstacles that one view shows."""
+    """Positions ``(M, 3)`` of the obstacles that one view shows."""
     depth = scene.depth[index]
     height, width = depth.inverse_depth.shape
     pinhole = Undistorter(scene.camera_of(index)).intrinsics.resized(width, height)
@@ -47,4 +65,60 @@ def _points_of_view(scene: Scene, index: int, top: float) -> FloatArray:
     pose = scene.world_from_camera[index]
     world = camera @ pose[:3, :3].T + pose[:3, 3]
     is_obstacle = (world[:, 2] > FLOOR) & (world[:, 2] < top)
-    return np.asarray(world[is_obstacle, :2])
+    return np.asarray(world[is_obstacle])
+
+
+def _standing(
+    scene: Scene, points: FloatArray, owner: IntArray, candidates: BoolArray
+) -> BoolArray:
+    """Which cells hold something that views nearby do not see through.
+
+    Args:
+        scene: the light field.
+        points: ``(P, 3)`` of the surface.
+        owner: ``(P,)`` the cell of each.
+        candidates: ``(C,)`` the cells that are asked for.
+
+    Returns:
+        ``(C,)``; cells that no view nearby has in sight count as obstacles.
+    """
+    asked = candidates[owner]
+    points, owner = points[asked], owner[asked]
+    keys = np.stack([owner, np.floor(points[:, 2] / SLICE).astype(np.int64)], axis=1)
+    slices, part, counts = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
+    part = part.reshape(-1)
+    sums = [np.bincount(part, points[:, axis], len(slices)) for axis in range(3)]
+    middles = np.stack(sums, axis=1) / counts[:, None]
+    seen, passed = np.zeros((2, len(slices)))
+    tree = scipy.spatial.cKDTree(middles)
+    reach = NEARBY_IN_DEPTHS * median_depth(scene.depth)
+    for index in range(len(scene)):
+        near = np.array(tree.query_ball_point(scene.world_from_camera[index, :3, 3], reach))
+        if len(near) > 0:
+            beyond = _depth_beyond(scene, index, middles[near])
+            seen[near] += np.abs(beyond) <= 1.0
+            passed[near] += beyond > 1.0
+    stands = np.zeros(len(candidates), dtype=np.bool_)
+    stands[slices[seen >= SEEN_SHARE * passed, 0]] = True
+    return stands
+
+
+def _depth_beyond(scene: Scene, index: int, points: FloatArray) -> FloatArray:
+    """By how much a view's depth exceeds that of points ``(K, 3)``, in units of the slack.
+
+    Returns:
+        ``(K,)``; NaN where the view does not have a point in sight or knows no depth.
+    """
+    depth = scene.depth[index]
+    height, width = depth.inverse_depth.shape
+    pinhole = Undistorter(scene.camera_of(index)).intrinsics.resized(width, height)
+    pose = scene.world_from_camera[index]
+    x, y, z = ((points - pose[:3, 3]) @ pose[:3, :3]).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        column = np.rint(pinhole.fx * x / z + pinhole.cx)
+        row = np.rint(pinhole.fy * y / z + pinhole.cy)
+        inside = (z > 0.0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        pixel = np.where(inside, row, 0).astype(int), np.where(inside, column, 0).astype(int)
+        known = inside & depth.confident[pixel] & (depth.inverse_depth[pixel] > 0.0)
+        beyond = (1.0 / depth.inverse_depth[pixel] - z) / (SLACK + SLACK_SHARE * z)
+    return np.where(known, beyond, np.nan)

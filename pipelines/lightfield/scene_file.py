@@ -110,11 +110,38 @@ def load_scene(path: PathLike) -> Scene:
     """
     path = checked_path(path, "the scene's path")
     refuse_world(path)
+    scene = _read(path)
+    if identified(scene).identifier != scene.identifier:
+        raise InputError(path, "was changed after it was written", "make it again")
+    return scene
+
+
+def load_part(path: Path, views: Sequence[int]) -> Scene:
+    """Reads some views of a scene model, and no more of the file than these need.
+
+    Args:
+        path: the file.
+        views: their numbers, from 0.
+
+    Returns:
+        A scene of these views, in their order, with the identifier of the whole. That the whole is
+        what the identifier says is not checked; each part is read by its checksum.
+
+    Raises:
+        InputError: missing, not a scene, damaged, of a newer schema, without such views, or with
+            contents that contradict each other.
+        StageError: in compact storage, and Pillow was built without WebP.
+    """
+    return _read(path, views)
+
+
+def _read(path: Path, views: Sequence[int] | None = None) -> Scene:
+    """The scene in a file, or some of its views, checked but for the identifier."""
     with open_hdf5(path) as file:
         check_schema(file, FORMAT, SCHEMA_VERSION)
         description = file.read_json("scene")
         try:
-            scene = _scene_of(file, description)
+            scene = _scene_of(file, description, views)
         except _MALFORMED as error:
             raise InputError(
                 path, f"has contents that are no scene ({reason_of(error)})"
@@ -250,31 +277,37 @@ def _surface_description(surface: PlaneEstimate) -> dict[str, Any]:
     }
 
 
-def _scene_of(file: SafeFile, description: Any) -> Scene:
+def _scene_of(file: SafeFile, description: Any, part: Sequence[int] | None = None) -> Scene:
+    """The scene in a file, or a part of its views."""
     names = tuple(str(name) for name in description["image_names"])
     count = len(names)
+    views = range(count) if part is None else part
+    if any(not 0 <= view < count for view in views):
+        raise InputError(file.path, "holds fewer views than are asked for")
+    rows = np.array(views, dtype=np.int64)
+    poses = file.read_array("world_from_camera", dtype_kind="f", shape=(count, 4, 4))
     compaction = _compaction_of(description.get("compaction"))
     base_from_camera = None
     if file.has("base_from_camera"):
         base_from_camera = file.read_array("base_from_camera", dtype_kind="f", shape=(4, 4))
     return Scene(
-        image_names=names,
+        image_names=tuple(names[view] for view in views),
         encoded_images=tuple(
             file.read_array(
-                f"images/{index:06d}", dtype_kind="u", shape=(None,), max_bytes=MAX_IMAGE_BYTES
+                f"images/{view:06d}", dtype_kind="u", shape=(None,), max_bytes=MAX_IMAGE_BYTES
             ).tobytes()
-            for index in range(count)
+            for view in views
         ),
-        timestamps=file.read_array("timestamps", dtype_kind="f", shape=(count,)),
+        timestamps=file.read_array("timestamps", dtype_kind="f", shape=(count,))[rows],
         cameras=tuple(map(camera_from_dict, description["cameras"])),
-        camera_index=file.read_array("camera_index", dtype_kind="i", shape=(count,)),
-        world_from_camera=file.read_array("world_from_camera", dtype_kind="f", shape=(count, 4, 4)),
+        camera_index=file.read_array("camera_index", dtype_kind="i", shape=(count,))[rows],
+        world_from_camera=poses[rows],
         surface=_surface_of(description["surface"]),
         base_from_camera=base_from_camera,
         bounds=file.read_array("bounds", dtype_kind="f", shape=(4,)),
         scale_source=str(description["scale_source"]),
         identifier=str(description["identifier"]),
-        depth=_depth_of(file, count, compaction is None),
+        depth=_depth_of(file, views, compaction is None),
         ground=_ground_of(file),
         compaction=compaction,
     )
@@ -317,13 +350,13 @@ def _compaction_of(stored: Any) -> Compaction | None:
     return found
 
 
-def _depth_of(file: SafeFile, count: int, is_full: bool) -> tuple[SceneDepth, ...]:
-    """The depth maps of all views; none where the file has none."""
+def _depth_of(file: SafeFile, views: Sequence[int], is_full: bool) -> tuple[SceneDepth, ...]:
+    """The depth maps of views; none where the file has none."""
     if not file.has("depth"):
         return ()
     maps = []
-    for index in range(count):
-        group = f"depth/{index:06d}"
+    for view in views:
+        group = f"depth/{view:06d}"
         levels, confident = _levels_of(file, group, is_full)
         scale = float(file.read_array(f"{group}/scale", dtype_kind="f", shape=()))
         if not (np.isfinite(scale) and scale > 0.0) or levels.size == 0 or not levels.any():
@@ -383,8 +416,6 @@ def _check(path: Path, scene: Scene) -> None:
         header, camera = header_of(data, path), scene.camera_of(index)
         if (header.width, header.height) != (camera.width, camera.height):
             raise InputError(path, f"photo {index} and its camera differ in size")
-    if identified(scene).identifier != scene.identifier:
-        raise InputError(path, "was changed after it was written", "make it again")
 
 
 def _finite_or_none(value: float) -> float | None:

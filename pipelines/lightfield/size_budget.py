@@ -9,7 +9,7 @@ from pipelines.artifacts.errors import InputError
 from pipelines.artifacts.safe_hdf5 import open_hdf5
 from pipelines.geometry.camera import Camera
 from pipelines.lightfield.scene import Scene
-from pipelines.lightfield.views import SMALLEST_LEVEL_SIDE, shrunk_size, texels_beyond
+from pipelines.lightfield.views import POOL_SIDE, SMALLEST_LEVEL_SIDE, shrunk_size, texels_beyond
 
 PARTS = ("photos", "depth_maps", "rest")
 # The longer side of views to which ``lfnav localize`` shrinks the photos by default.
@@ -99,6 +99,22 @@ def view_memory(camera: Camera, encoded_bytes: float, depth_side: int | None) ->
         shown = shrunk_size(*stored, LOCALIZE_SIDE)
         # A map's 32-bit values and mask, and the values that the renderer makes of it.
         total += 5 * stored[0] * stored[1] + DEPTH_BYTES * shown[0] * shown[1]
+    return total
+
+
+def view_bytes(camera: Camera, side: int, channels: int, has_depth: bool) -> float:
+    """Bytes of a view as a renderer takes it.
+
+    Args:
+        camera: that took the photo.
+        side: the most pixels of the longer side.
+        channels: how many kinds of pixels it has.
+        has_depth: whether it has a depth map.
+    """
+    width, height = shrunk_size(camera.width, camera.height, side)
+    total: float = channels * TEXEL_BYTES * _pyramid_texels(width, height)
+    if has_depth:
+        total += DEPTH_BYTES * width * height * (1.0 + 1.0 / POOL_SIDE**2)
     return total
 
 

@@ -1,8 +1,9 @@
 """The stage ``model``: a reconstruction in, a scene model out."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from pipelines.artifacts.arguments import (
 from pipelines.artifacts.arrays import ImageArray, IntArray
 from pipelines.artifacts.atomic import check_output
 from pipelines.artifacts.errors import InputError, StageError
+from pipelines.artifacts.processes import in_threads
 from pipelines.artifacts.provenance import provenance, sha256_of_bytes, sha256_of_file
 from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.dataset.images import decode_image, read_image_bytes
@@ -180,24 +182,15 @@ def build_scene(
         check_webp()
     root = settings.images if settings.images is not None else source.image_root
     images = _read_photos(source, root)
-    needs_photos = settings.geometry == "depth" and not settings.takes_depth
-    # Of many photos, only those that are kept are decoded at full size.
-    decodes_all = needs_photos and settings.max_views is None
-    photos = _Photos(source, images, None if decodes_all else FINE_WIDTH)
     given = given_depth(source, root) if settings.takes_depth else ()
-    surface = _surface(source, photos, given, settings, progress)
-    centres = source.world_from_camera[:, :3, 3]
-    if surface is not None and surface.plane.signed_distance(centres).max() <= 0.0:
-        raise StageError("no photo was taken from the front of the plane; check --plane")
-    stand_in = _stand_in(source, photos, given, surface, progress)
+    surface, stand_in = _approximations(source, images, given, settings, progress)
     if settings.max_views is not None:
         # Before depth: the photos that are left out would, as neighbours in the sweep, improve the
         # rendering by less than 0.1 dB, for the time and memory of decoding all of them.
         kept = _select(source, stand_in, given, settings.max_views, progress)
         source, images = with_images(source, kept), tuple(images[index] for index in kept)
         given = tuple(given[index] for index in kept) if given else ()
-        photos = _Photos(source, images, None)
-    depth = given or _depth(source, photos, stand_in, settings, finished, progress)
+    depth = given or _depth(source, images, stand_in, settings, finished, progress)
     if surface is None:
         ground = free_ground(source.world_from_camera, _undistorted(source), depth)
         bounds = ground.bounds
@@ -257,37 +250,71 @@ def _undistorted(source: Reconstruction) -> list[Intrinsics]:
     return [pinholes[int(index)] for index in source.camera_index]
 
 
-class _Photos:
-    """The photos undistorted, decoded when they are first needed and then kept."""
+class _SmallPhotos:
+    """The photos undistorted and reduced, decoded when they are first needed and then kept."""
 
-    def __init__(
-        self, source: Reconstruction, encoded: tuple[bytes, ...], largest_side: int | None
-    ) -> None:
-        self._source = source
-        self._encoded = encoded
-        self._largest_side = largest_side
+    def __init__(self, source: Reconstruction, encoded: tuple[bytes, ...]) -> None:
+        self._photos = _Photos(source, encoded)
         self._decoded: tuple[list[ImageArray], list[Intrinsics]] | None = None
 
     def decoded(self, progress: Progress) -> tuple[list[ImageArray], list[Intrinsics]]:
         """Images ``(h, w, 3)`` and their intrinsics."""
         if self._decoded is None:
-            undistorters = [Undistorter(camera) for camera in self._source.cameras]
-            photos, intrinsics = [], []
-            for index, data in enumerate(
-                progress(self._encoded, "decode photos", len(self._encoded))
-            ):
-                undistorter = undistorters[int(self._source.camera_index[index])]
-                image = undistorter(decode_image(data, self._source.image_names[index]))
-                small, pinhole = shrink(image, undistorter.intrinsics, self._largest_side)
-                photos.append(small)
-                intrinsics.append(pinhole)
-            self._decoded = photos, intrinsics
+            photos, pinholes = self._photos, self._photos.intrinsics
+
+            def small(view: int) -> tuple[ImageArray, Intrinsics]:
+                return shrink(photos[view], pinholes[view], FINE_WIDTH)
+
+            found = in_threads(small, range(len(photos)))
+            pairs = list(progress(found, "decode photos", len(photos)))
+            self._decoded = [image for image, _ in pairs], [pinhole for _, pinhole in pairs]
         return self._decoded
+
+
+class _Photos(Sequence[ImageArray]):
+    """The photos undistorted, at full size ``(h, w, 3)``, decoded each time one is asked for."""
+
+    def __init__(self, source: Reconstruction, encoded: tuple[bytes, ...]) -> None:
+        self._names = source.image_names
+        self._encoded = encoded
+        undistorters = [Undistorter(camera) for camera in source.cameras]
+        self._undistorters = [undistorters[int(index)] for index in source.camera_index]
+        self.intrinsics = [undistorter.intrinsics for undistorter in self._undistorters]
+
+    def __len__(self) -> int:
+        return len(self._encoded)
+
+    @overload
+    def __getitem__(self, index: int) -> ImageArray: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> list[ImageArray]: ...
+
+    def __getitem__(self, index: int | slice) -> ImageArray | list[ImageArray]:
+        if isinstance(index, slice):
+            return [self[view] for view in range(*index.indices(len(self)))]
+        return self._undistorters[index](decode_image(self._encoded[index], self._names[index]))
+
+
+def _approximations(
+    source: Reconstruction,
+    images: tuple[bytes, ...],
+    given: tuple[SceneDepth, ...],
+    settings: ModelSettings,
+    progress: Progress,
+) -> tuple[PlaneEstimate | None, StandIn]:
+    """The scene's plane, None where there is none, and what is taken for the surface without it."""
+    photos = _SmallPhotos(source, images)
+    surface = _surface(source, photos, given, settings, progress)
+    centres = source.world_from_camera[:, :3, 3]
+    if surface is not None and surface.plane.signed_distance(centres).max() <= 0.0:
+        raise StageError("no photo was taken from the front of the plane; check --plane")
+    return surface, _stand_in(source, photos, given, surface, progress)
 
 
 def _surface(
     source: Reconstruction,
-    photos: _Photos,
+    photos: _SmallPhotos,
     given: tuple[SceneDepth, ...],
     settings: ModelSettings,
     progress: Progress,
@@ -307,7 +334,7 @@ def _surface(
 
 def _dominant_plane(
     source: Reconstruction,
-    photos: _Photos,
+    photos: _SmallPhotos,
     given: tuple[SceneDepth, ...],
     settings: ModelSettings,
     progress: Progress,
@@ -325,7 +352,7 @@ def _dominant_plane(
 
 def _stand_in(
     source: Reconstruction,
-    photos: _Photos,
+    photos: _SmallPhotos,
     given: tuple[SceneDepth, ...],
     surface: PlaneEstimate | None,
     progress: Progress,
@@ -342,7 +369,7 @@ def _stand_in(
 
 def _depth(
     source: Reconstruction,
-    photos: _Photos,
+    images: tuple[bytes, ...],
     stand_in: StandIn,
     settings: ModelSettings,
     finished: Path | None,
@@ -351,9 +378,9 @@ def _depth(
     """A depth map a view, from the photos; none where the plane is all that was asked for."""
     if settings.geometry == "plane":
         return ()
-    images, intrinsics = photos.decoded(progress)
+    photos = _Photos(source, images)
     return depth_from_photos(
-        source, images, intrinsics, stand_in, DepthSettings(), finished, progress
+        source, photos, photos.intrinsics, stand_in, DepthSettings(), finished, progress
     )
 
 

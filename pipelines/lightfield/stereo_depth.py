@@ -107,7 +107,7 @@ def estimate_depth(
     """The depth map of one view, from it and its neighbours alone.
 
     Args:
-        images: the N pinhole photos, ``(h, w, 3)`` RGB.
+        images: the N pinhole photos, ``(h, w, 3)`` RGB, or as ``working_photo`` makes them.
         intrinsics: of each.
         world_from_camera: ``(N, 4, 4)``.
         view: index of the view.
@@ -122,10 +122,11 @@ def estimate_depth(
     near, far = checked_range(*limits)
     if len(images) < 2 or len(neighbours) == 0:
         raise StageError(f"view {view} has no neighbouring photo to find depth with")
-    reference, pinhole = _grey(images[view], intrinsics[view], settings)
+    side = settings.largest_side
+    reference, pinhole = working_photo(images[view], intrinsics[view], side)
     photos, transfers = [], []
     for other in neighbours:
-        photo, own = _grey(images[other], intrinsics[other], settings)
+        photo, own = working_photo(images[other], intrinsics[other], side)
         photos.append(photo)
         transfers.append(
             pixel_transfer(pinhole, world_from_camera[view], own, world_from_camera[other])
@@ -148,11 +149,22 @@ def estimate_depth(
     return DepthMap(smooth, np.asarray(confident, dtype=np.bool_), pinhole)
 
 
-def _grey(
-    image: ImageArray, intrinsics: Intrinsics, settings: DepthSettings
+def working_photo(
+    image: ImageArray, intrinsics: Intrinsics, largest_side: int
 ) -> tuple[ImageArray, Intrinsics]:
-    """Brightness ``(H, W)`` of a photo at working size, and its intrinsics."""
-    small, pinhole = shrink(image, intrinsics, settings.largest_side)
+    """What the sweep takes of a photo.
+
+    Args:
+        image: ``(h, w, 3)`` RGB, or ``(h, w)``: what this function made of one.
+        intrinsics: of the pinhole photo.
+        largest_side: it is reduced to this longer side, pixels.
+
+    Returns:
+        Brightness ``(H, W)``, and its intrinsics.
+    """
+    small, pinhole = shrink(image, intrinsics, largest_side)
+    if small.ndim == 2:
+        return small, pinhole
     return np.asarray(cv2.cvtColor(small, cv2.COLOR_RGB2GRAY), dtype=np.uint8), pinhole
 
 

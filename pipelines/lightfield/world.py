@@ -1,5 +1,6 @@
 """The stage ``model --areas``: a reconstruction in, a world out: a light field for each area."""
 
+import logging
 import os
 import shutil
 from collections.abc import Callable
@@ -17,7 +18,7 @@ from pipelines.artifacts.arguments import (
     checked_path,
 )
 from pipelines.artifacts.atomic import atomic_folder, check_output
-from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.artifacts.errors import InputError, OptionError, quoted
 from pipelines.artifacts.kinds import AREA_FOLDER, BUILDING_SUFFIX, WORLD_FILE
 from pipelines.artifacts.provenance import provenance, sha256_of_file
 from pipelines.artifacts.stages import Progress, no_progress
@@ -53,6 +54,8 @@ AUTOMATIC = "auto"
 DEFAULT_AREA_VIEWS = 150
 MAX_JOBS = 1024
 
+_log = logging.getLogger(__name__)
+
 
 @dataclass(frozen=True)
 class AreaSettings:
@@ -65,6 +68,8 @@ class AreaSettings:
         megabytes: instead of this what such an area may take in memory as ``lfnav localize`` opens
             it.
         jobs: number of processes that build areas at once.
+        scheduler: address of a Dask scheduler, whose workers build the areas instead; they need
+            the same files under the same paths. None: this machine builds them.
 
     Raises:
         OptionError: bounds that contradict each other, are too small, or do not go with a file.
@@ -74,6 +79,7 @@ class AreaSettings:
     views: int | None = None
     megabytes: float | None = None
     jobs: int = 1
+    scheduler: str | None = None
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -86,6 +92,8 @@ class AreaSettings:
         if self.megabytes is not None:
             checked_number(self.megabytes, "--area-memory", 0.0, 1e9)
         checked_number(self.jobs, "--jobs", 1, MAX_JOBS, whole=True)
+        if self.scheduler is not None and self.jobs != 1:
+            raise OptionError("--jobs is for this machine, --scheduler for a cluster")
 
 
 def model_world(
@@ -114,7 +122,8 @@ def model_world(
         InputError: the reconstruction, its photos or the file of areas cannot be used, or the
             output not be written.
         StageError: an area cannot be built.
-        OptionError: an impossible setting, or an argument of another type.
+        OptionError: an impossible setting, no scheduler at the address, or an argument of another
+            type.
     """
     reconstruction = checked_path(reconstruction, "the reconstruction's path")
     output = checked_path(output, "the world's path")
@@ -125,9 +134,10 @@ def model_world(
     check_output(output, overwrite, WORLD_FILE)
     source = load_reconstruction(reconstruction)
     division, record = _divided(source, areas, settings)
+    _tell_left_out(source, division)
     building = output.with_name(output.name + BUILDING_SUFFIX)
     tasks = [area_task(building, area, source, settings) for area in division.areas]
-    built = build_areas(tasks, areas.jobs, progress)
+    built = build_areas(tasks, areas.jobs, areas.scheduler, progress)
     inputs = {DESCRIPTION_NAME: sha256_of_file(reconstruction / DESCRIPTION_NAME)}
     world = _index(
         source, division, built, record, provenance("model", plain_options(settings), inputs)
@@ -140,6 +150,18 @@ def model_world(
         save_index(folder / WORLD_FILE, world, recognition)
     shutil.rmtree(building, ignore_errors=True)
     return WorldSummary(output, world, recognition_bytes(output))
+
+
+def _tell_left_out(source: Reconstruction, division: Division) -> None:
+    """Says which photos lie outside of all areas of a file."""
+    left_out = np.flatnonzero(division.home < 0)
+    if len(left_out):
+        _log.warning(
+            "%d of %d photos lie outside of all areas and are left out, %s among them",
+            len(left_out),
+            len(division.home),
+            quoted(source.image_names[int(left_out[0])]),
+        )
 
 
 def _divided(

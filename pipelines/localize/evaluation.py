@@ -18,6 +18,7 @@ from pipelines.artifacts.arrays import BoolArray, FloatArray
 from pipelines.artifacts.errors import InputError, OptionError, quoted
 from pipelines.dataset.dataset import PAIRING_TOLERANCE
 from pipelines.geometry.trajectory import Trajectory, read_tum
+from pipelines.localize.area_evaluation import AreaEvaluation, evaluate_areas
 from pipelines.localize.consistency import (
     Consistency,
     consistency_of,
@@ -174,6 +175,7 @@ class RunEvaluation:
         particles: number of particles in the last frame.
         seconds_per_frame: mean wall time, all stages together, without PnP where that only ran
             beside the filter.
+        areas: the belief over areas compared with the truth; None: the run was made with one scene.
     """
 
     estimate: str
@@ -190,6 +192,7 @@ class RunEvaluation:
     trust: Trust
     particles: int
     seconds_per_frame: float
+    areas: AreaEvaluation | None = None
 
     @property
     def success(self) -> bool:
@@ -235,6 +238,8 @@ class RunEvaluation:
         if self.consistency is not None:
             rows += self.consistency.rows()
         rows += self.trust.rows()
+        if self.areas is not None:
+            rows += self.areas.rows()
         rows.append(("particles in the last frame", str(self.particles)))
         rows.append(("seconds a frame", f"{self.seconds_per_frame:.3f}"))
         return rows
@@ -256,6 +261,7 @@ class RunEvaluation:
             "trust": self.trust.to_dict(),
             "particles": self.particles,
             "seconds_per_frame": self.seconds_per_frame,
+            **({} if self.areas is None else {"areas": self.areas.to_dict()}),
         }
 
 
@@ -334,6 +340,7 @@ def evaluate_run(
         trust=trust_of(run, truth, estimate),
         particles=len(run.frames[-1].particles),
         seconds_per_frame=float(np.mean(run.frame_seconds)),
+        areas=evaluate_areas(run, truth, estimated),
     )
 
 

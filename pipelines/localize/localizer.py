@@ -21,7 +21,10 @@ from pipelines.artifacts.errors import OptionError
 from pipelines.dataset.dataset import Dataset
 from pipelines.geometry.camera import Camera
 from pipelines.geometry.pose import checked_poses
+from pipelines.lightfield.open_world import OpenWorld
 from pipelines.lightfield.scene import Scene
+from pipelines.localize.area_search import AreaSearch
+from pipelines.localize.area_window import AreaWindow
 from pipelines.localize.belief import Region, effective_sample_size, region_of_area
 from pipelines.localize.confidence import confidence
 from pipelines.localize.estimate import max_weight_state, mean_state, modes_table
@@ -30,16 +33,19 @@ from pipelines.localize.mixture_mcl import MixtureProposalMcl
 from pipelines.localize.motion import checked_increment
 from pipelines.localize.observation import Observations, Observer, camera_and_mount
 from pipelines.localize.run import FrameRecord
+from pipelines.localize.search import GlobalSearch
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import magnitudes, sigmas_of
 from pipelines.localize.status import StatusMonitor
 from pipelines.localize.strategies import CoarseToFine, Condensation, Posterior, Strategy
 from pipelines.localize.tracking import PoseTracker
+from pipelines.render.devices import Device
 
 # A repeated image is stale once the body has moved so far since: metres and radians.
 STALE_POSITION, STALE_ANGLE = 0.01, math.radians(0.3)
 # A hand-held camera may be so many metres from where the recorded views were.
 AROUND_VIEWS = 0.5
+NO_PNP = "PnP takes the features of one scene; a world is localized in without"
 
 
 class Localizer:
@@ -50,7 +56,7 @@ class Localizer:
     each of them. Search, statuses and confidence go beyond the paper: ``docs/localization.md``.
 
     Args:
-        scene: the light field.
+        scene: the light field, or a world of several.
         camera: of the robot; need not be the one that recorded the scene.
         body_from_camera: ``(4, 4)`` the camera's mount on the robot, metres; the identity where the
             camera is the body.
@@ -62,14 +68,14 @@ class Localizer:
 
     Raises:
         OptionError: an area that does not touch the scene's bounds, a mask that does not go with
-            the camera, a device or depth maps that are asked for and not there, or an argument of
-            another type or shape.
+            the camera, a device or depth maps that are asked for and not there, settings that a
+            world does not take, too little memory for one, or an argument of another type or shape.
         InputError: a photo of the scene cannot be decoded.
     """
 
     def __init__(
         self,
-        scene: Scene,
+        scene: Scene | OpenWorld,
         camera: Camera,
         body_from_camera: FloatArray,
         settings: LocalizerSettings | None = None,
@@ -79,7 +85,8 @@ class Localizer:
     ) -> None:
         settings = LocalizerSettings() if settings is None else settings
         rng = np.random.default_rng(0) if rng is None else rng
-        checked_instance(scene, "the scene", Scene)
+        if not isinstance(scene, OpenWorld):
+            checked_instance(scene, "the scene", Scene)
         checked_instance(camera, "the camera", Camera)
         checked_instance(settings, "settings", LocalizerSettings)
         checked_instance(rng, "rng", np.random.Generator)
@@ -89,13 +96,18 @@ class Localizer:
         self.settings = settings
         self.space = settings.state_space
         self._observer = Observer(camera, settings.widths, mask)
-        if model is None:
+        self._window: AreaWindow | None = None
+        if isinstance(scene, OpenWorld):
+            check_world_settings(settings, model)
+            self._window = AreaWindow(scene, body_from_camera, settings)
+            model = self._window.model
+        elif model is None:
             model = MeasurementModel.of_scene(scene, body_from_camera, settings)
         if settings.refine_width > 0 and model.renderer.threads > 1:
             # A body that is followed needs all of them: they are learnt while it is looked for.
             model.learn_pixels([width for width in settings.widths if width >= settings.fine_width])
         region = region_of(scene, settings)
-        self._strategy = _strategy(model, region, scene.world_from_camera, settings, rng)
+        self._strategy = _strategy(model, region, scene, self._window, settings, rng)
         self._status = StatusMonitor(model, settings)
         self._tracker = PoseTracker(model, settings)
         sigmas = sigmas_of(self.space, settings.map_position_sigma, settings.map_heading_sigma)
@@ -105,7 +117,7 @@ class Localizer:
     @classmethod
     def of_dataset(
         cls,
-        scene: Scene,
+        scene: Scene | OpenWorld,
         dataset: Dataset,
         settings: LocalizerSettings | None = None,
         *,
@@ -115,7 +127,7 @@ class Localizer:
         """A localizer of the camera of a data set, with its mount and mask.
 
         Args:
-            scene: the light field.
+            scene: the light field, or a world of several.
             dataset: whose ``camera.toml`` describes the robot; its images are not read.
             settings: of the filter; None: the defaults.
             seed: of the filter's random numbers, not negative.
@@ -214,7 +226,7 @@ class Localizer:
             track = self._tracker.update(main, observations)
             if track is not None:
                 estimates["refined"] = track.state
-                covariance = track.blur * track.covariance + self._map_covariance
+                covariance = track.stated_covariance + self._map_covariance
                 refined_covariance = covariance
             if track is not None and track.measured is not None:
                 self._strategy.learn(track.measured)
@@ -232,10 +244,35 @@ class Localizer:
             status=status,
             seconds={},
             refined_covariance=refined_covariance,
+            area_belief=self._area_belief(posterior),
         )
 
+    def _area_belief(self, posterior: Posterior) -> FloatArray | None:
+        """Probability ``(A,)`` of each area of a world; what is left is that of none."""
+        if self._window is None:
+            return None
+        belief = posterior.belief
+        shares = self._window.world.area_map.shares(belief.states[:, :2], belief.weights)
+        return posterior.inside * shares
 
-def region_of(scene: Scene, settings: LocalizerSettings) -> Region:
+
+def check_world_settings(settings: LocalizerSettings, model: MeasurementModel | None) -> None:
+    """Refuses what goes with one light field only.
+
+    Raises:
+        OptionError: a setting that a world does not take.
+    """
+    if model is not None:
+        raise OptionError("a measurement model is of one scene; a world has one for all its areas")
+    if settings.strategy != "mixture":
+        raise OptionError(f"a world takes strategy mixture, not {settings.strategy}")
+    if settings.uses_pnp:
+        raise OptionError(NO_PNP)
+    if settings.device is Device.GPU:
+        raise OptionError("a world of areas is localized in on the CPU, not on a GPU")
+
+
+def region_of(scene: Scene | OpenWorld, settings: LocalizerSettings) -> Region:
     """Where the body may be: the scene's free ground or bounds, and the settings' area.
 
     Raises:
@@ -270,7 +307,8 @@ def region_of(scene: Scene, settings: LocalizerSettings) -> Region:
 def _strategy(
     model: MeasurementModel,
     region: Region,
-    world_from_camera: FloatArray,
+    scene: Scene | OpenWorld,
+    window: AreaWindow | None,
     settings: LocalizerSettings,
     rng: np.random.Generator,
 ) -> Strategy:
@@ -278,7 +316,11 @@ def _strategy(
         return Condensation(model, region, settings, rng)
     if settings.strategy == "coarse_to_fine":
         return CoarseToFine(model, region, settings, rng)
-    return MixtureProposalMcl(model, region, world_from_camera, settings, rng)
+    if window is None:
+        search = GlobalSearch(model, region, scene.world_from_camera, settings, rng)
+    else:
+        search = AreaSearch(window, region, settings, rng)
+    return MixtureProposalMcl(model, region, search, settings, rng)
 
 
 @contextmanager

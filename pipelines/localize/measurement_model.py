@@ -40,6 +40,14 @@ HEAVIEST = 64
 LEAST_EXPLAINED = 0.1
 
 
+def channels_of(likelihood: Likelihood) -> tuple[Channels, ...]:
+    """The channels in which photos are compared, those of evidence among them."""
+    if likelihood.cost is Cost.EVIDENCE:
+        return (likelihood.channels,)
+    both = {likelihood.channels, LIKELIHOODS["evidence"].channels}
+    return tuple(sorted(both, key=lambda channels: channels.name))
+
+
 class MeasurementModel:
     """Compares states with camera images, by the views rendered at them.
 
@@ -96,9 +104,6 @@ class MeasurementModel:
         colours = views_of_scene(scene, side)
         quality = quality_named(settings.quality, bool(scene.depth), Quality.MEDIUM)
         likelihood = settings.likelihood
-        wanted = {likelihood.channels, LIKELIHOODS["evidence"].channels}
-        if likelihood.cost is Cost.EVIDENCE:
-            wanted = {likelihood.channels}
         renderers = {
             channels: renderer_of_scene(
                 scene,
@@ -109,9 +114,22 @@ class MeasurementModel:
                 settings.device,
                 views_in_channels(colours, channels),
             )
-            for channels in wanted
+            for channels in channels_of(likelihood)
         }
         return cls(colours, renderers, settings.state_space, body_from_camera, likelihood)
+
+    def show(self, colours: Views, renderers: dict[Channels, Renderer]) -> None:
+        """Goes on with another light field; what was learnt of pixels is kept.
+
+        Args:
+            colours: the photos, in colours.
+            renderers: of the photos in the channels that are compared.
+        """
+        for learnt in self._pixels.values():
+            # What is still being learnt is learnt from the light field of before.
+            learnt.result()
+        self._colours, self._renderers = colours, renderers
+        self._least_distance = _usual_distance(self.renderer, colours) / VIEW_RESOLUTION_FACTOR
 
     @property
     def renderer(self) -> Renderer:

@@ -84,8 +84,7 @@ class MixtureProposalMcl:
     Args:
         model: compares states with images.
         region: where the body may be.
-        world_from_camera: ``(N, 4, 4)`` of the recorded views; hypotheses with six degrees of
-            freedom are taken from around them.
+        search: looks images up in the map.
         settings: of the particle filter.
         rng: the only source of randomness.
     """
@@ -94,7 +93,7 @@ class MixtureProposalMcl:
         self,
         model: MeasurementModel,
         region: Region,
-        world_from_camera: FloatArray,
+        search: GlobalSearch,
         settings: LocalizerSettings,
         rng: np.random.Generator,
     ) -> None:
@@ -102,7 +101,7 @@ class MixtureProposalMcl:
         self._settings = settings
         self._rng = rng
         self._predictor = MotionPredictor(model.space, region, settings)
-        search = GlobalSearch(model, region, world_from_camera, settings, rng)
+        self._search = search
         self._proposals = ProposalBuilder(model, search, settings)
         self._belief: Belief | None = None
         self._resampled: Belief | None = None
@@ -142,6 +141,7 @@ class MixtureProposalMcl:
             hypotheses: ``(K, D)`` states that are aligned like those that are found here, or None.
         """
         prediction = self._prediction
+        self._search.prepare(prediction)
         self._proposals.begin_image(hypotheses)
         if not observations.is_informative:
             self._belief = self._unseen(prediction)

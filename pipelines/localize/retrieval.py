@@ -7,6 +7,7 @@ leaves it nearly as it is, and what stands in front of some tiles changes only t
 photo shows adds nothing. This says where to look, not what to believe.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -78,6 +79,20 @@ def build_index(
     """Renders the small views of states ``(N, D)``; the renderer's photos are in channels."""
     poses = space.poses(states) @ body_from_camera
     images, covered = renderer.render_many(poses, intrinsics)
+    return index_of_images(states, images, covered, intrinsics)
+
+
+def index_of_images(
+    states: FloatArray, images: Float32Array, covered: BoolArray, intrinsics: Intrinsics
+) -> RetrievalIndex:
+    """The index of images that are there already; they are overwritten.
+
+    Args:
+        states: ``(N, D)`` from which they were taken.
+        images: ``(N, H, W, 3)`` in channels.
+        covered: ``(N, H, W)`` pixels that show the scene.
+        intrinsics: of the images.
+    """
     images -= np.float32(ZERO)
     images[~covered] = 0.0
     order, starts = _tiles(intrinsics)
@@ -88,6 +103,20 @@ def build_index(
         for first, end in pairwise(starts)
     ]
     return RetrievalIndex(states, flat, order, starts, np.stack(energies))
+
+
+def joined(indices: Sequence[RetrievalIndex]) -> RetrievalIndex:
+    """One index of the views of several, whose images are of one size; at least one."""
+    first = indices[0]
+    if len(indices) == 1:
+        return first
+    return RetrievalIndex(
+        np.concatenate([index.states for index in indices]),
+        np.concatenate([index.thumbnails for index in indices]),
+        first.order,
+        first.starts,
+        np.concatenate([index.energies for index in indices], axis=1),
+    )
 
 
 def _energies(thumbnails: Float32Array, used: BoolArray) -> Float32Array:

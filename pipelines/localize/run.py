@@ -35,7 +35,8 @@ from pipelines.artifacts.safe_hdf5 import (
 )
 from pipelines.artifacts.settings_file import with_current_names
 from pipelines.geometry.camera import Camera, camera_from_dict
-from pipelines.localize.belief import Belief
+from pipelines.lightfield.area_map import AreaMap, read_area_map, write_area_map
+from pipelines.localize.belief import NORMALISATION_TOLERANCE, Belief
 from pipelines.localize.config import ENTRIES
 from pipelines.localize.docking_record import DockingRecord, read_docking, write_docking
 from pipelines.localize.state_space import StateSpace, state_space_of_dimension
@@ -77,6 +78,8 @@ class FrameRecord:
             alone since the image shows nothing (blind) or is an old one (stale), or lost.
         seconds: stage -> wall time.
         refined_covariance: ``(D, D)`` of the error of the estimate ``refined``, or None.
+        area_belief: ``(A,)`` in a world of areas the probability of each; what is left is that of
+            none of them. None: a scene.
 
     Raises:
         OptionError: shapes, ranges or names that do not fit the above.
@@ -95,6 +98,7 @@ class FrameRecord:
     status: str
     seconds: Mapping[str, float]
     refined_covariance: FloatArray | None = None
+    area_belief: FloatArray | None = None
 
     def __post_init__(self) -> None:
         _check_mapping(self.estimates, "estimates")
@@ -111,6 +115,10 @@ class FrameRecord:
         checked_array(self.covariance, "covariance", square)
         if self.refined_covariance is not None:
             checked_array(self.refined_covariance, "covariance of refined", square)
+        if self.area_belief is not None:
+            belief = checked_array(self.area_belief, "belief over areas", (None,))
+            if np.any(belief < 0.0) or belief.sum() > 1.0 + NORMALISATION_TOLERANCE:
+                raise OptionError("the belief over areas is not made of probabilities")
         checked_choice(self.status, "status", STATUSES)
         checked_number(self.confidence, "confidence", 0.0, 1.0)
         checked_array(self.timestamp, "timestamp", ())
@@ -145,6 +153,8 @@ class Run:
         groundtruth: ``(N, D)`` true states, NaN in frames without one, or None.
         provenance: versions and hashes of the inputs, plain JSON types.
         docking: goal, commands and outcome, where the robot was docked and not only followed.
+        areas: of the world, in the order of the frames' ``area_belief``; None: it was made with one
+            scene.
 
     Raises:
         OptionError: no frames, or parts of different length, or times that do not increase.
@@ -163,6 +173,7 @@ class Run:
     groundtruth: FloatArray | None
     provenance: Mapping[str, Any] = field(default_factory=dict)
     docking: DockingRecord | None = None
+    areas: AreaMap | None = None
 
     def __post_init__(self) -> None:
         for number, frame in enumerate(checked_instance(self.frames, "frames", tuple)):
@@ -181,6 +192,11 @@ class Run:
         dimension = self.frames[0].particles.shape[1]
         if any(frame.particles.shape[1] != dimension for frame in self.frames):
             raise OptionError("the frames' states differ in their degrees of freedom")
+        if self.areas is not None:
+            checked_instance(self.areas, "areas", AreaMap)
+        areas = 0 if self.areas is None else len(self.areas)
+        if any((0 if f.area_belief is None else len(f.area_belief)) != areas for f in self.frames):
+            raise OptionError("the frames' beliefs over areas are not of the run's areas")
         shape = (count, dimension)
         if self.odometry is not None:
             checked_array(self.odometry, "odometry", shape)
@@ -293,6 +309,8 @@ def save_run(path: PathLike, run: Run, overwrite: bool = False) -> None:
             "provenance": dict(run.provenance),
         }
         write_json(file, "run", header)
+        if run.areas is not None:
+            write_area_map(file, run.areas)
         write_array(file, "base_from_camera", run.base_from_camera)
         for name, states in (("odometry", run.odometry), ("groundtruth", run.groundtruth)):
             if states is not None:
@@ -347,6 +365,8 @@ def _write_frame(group: Any, frame: FrameRecord, image: bytes) -> None:
     write_array(group, "covariance", frame.covariance)
     if frame.refined_covariance is not None:
         write_array(group, "refined_covariance", frame.refined_covariance)
+    if frame.area_belief is not None:
+        write_array(group, "area_belief", frame.area_belief)
     for name, state in frame.estimates.items():
         write_array(group, f"estimates/{name}", state)
     for stage, seconds in frame.seconds.items():
@@ -377,6 +397,7 @@ def _read_run(file: SafeFile) -> Run:
         groundtruth=_read_optional_states(file, "groundtruth", count),
         provenance=dict(header["provenance"]),
         docking=read_docking(file, count),
+        areas=read_area_map(file),
     )
 
 
@@ -393,6 +414,7 @@ def _read_frame(file: SafeFile, group: str) -> tuple[FrameRecord, bytes]:
     refined_covariance = None
     if file.has(f"{group}/refined_covariance"):
         refined_covariance = _read_floats(file, f"{group}/refined_covariance", square)
+    has_areas = file.has(f"{group}/area_belief")
     frame = FrameRecord(
         timestamp=float(header["timestamp"]),
         image_name=str(header["image_name"]),
@@ -412,6 +434,7 @@ def _read_frame(file: SafeFile, group: str) -> tuple[FrameRecord, bytes]:
             for stage in header["stages"]
         },
         refined_covariance=refined_covariance,
+        area_belief=_read_floats(file, f"{group}/area_belief", (None,)) if has_areas else None,
     )
     return frame, image.tobytes()
 

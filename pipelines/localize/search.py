@@ -92,6 +92,13 @@ class GlobalSearch:
         self._rng = rng
         self._everywhere: ViewDatabase | None = None
 
+    def prepare(self, prediction: Prediction) -> None:
+        """Says where the body may be when the next image is weighed; a scene is there already.
+
+        Args:
+            prediction: the prior of that image.
+        """
+
     def everywhere(self, observations: Observations) -> ViewDatabase:
         """Views all over the region; rendered when they are first needed.
 

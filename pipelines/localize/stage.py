@@ -16,6 +16,7 @@ from pipelines.artifacts.arguments import (
 from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.artifacts.atomic import check_output
 from pipelines.artifacts.errors import InputError, OptionError, StageError
+from pipelines.artifacts.kinds import is_world
 from pipelines.artifacts.provenance import provenance, sha256_of_file
 from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.dataset.dataset import (
@@ -26,12 +27,13 @@ from pipelines.dataset.dataset import (
     poses_at_images,
 )
 from pipelines.geometry.planarity import check_planar
+from pipelines.lightfield.open_world import DEFAULT_MEGABYTES, OpenWorld, open_world
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_scene
 from pipelines.localize.belief import Region
 from pipelines.localize.description import RunSummary
 from pipelines.localize.landmarks import LandmarkSource
-from pipelines.localize.localizer import Localizer, region_of
+from pipelines.localize.localizer import NO_PNP, Localizer, region_of
 from pipelines.localize.map_heights import notes_on_heights
 from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.observation import camera_and_mount
@@ -43,6 +45,7 @@ from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import StateSpace
 from pipelines.reconstruct.reconstruction import (
     DESCRIPTION_NAME,
+    Reconstruction,
     load_reconstruction,
 )
 from pipelines.render.devices import resolved_device
@@ -56,7 +59,7 @@ class LocalizeRequest:
     """What is to be localized in what. Paths may be given as texts.
 
     Attributes:
-        scene: scene model, made by ``model``.
+        scene: scene model, or the folder of a world of several, made by ``model``.
         dataset: folder with images, camera with mount, odometry.
         output: the file to be written, ``run.h5``.
         settings: of the particle filter.
@@ -67,6 +70,8 @@ class LocalizeRequest:
         reconstruction: folder of the scene's reconstruction, whose points PnP then uses; None: PnP
             takes the scene's surface.
         overwrite: whether an existing file may be replaced.
+        memory: megabytes that a world's open areas and all that belongs to localizing in them may
+            take; None: 1000. A scene is in memory as a whole.
 
     Raises:
         OptionError: a value of another type.
@@ -82,6 +87,7 @@ class LocalizeRequest:
     mask: Path | None = None
     reconstruction: Path | None = None
     overwrite: bool = False
+    memory: float | None = None
 
     def __post_init__(self) -> None:
         for name in ("scene", "dataset", "output", "odometry", "mask", "reconstruction"):
@@ -143,7 +149,7 @@ def localize(request: LocalizeRequest, progress: Progress = no_progress) -> RunS
     check_output(request.output, request.overwrite)
     if reconstruction is not None and not settings.uses_pnp:
         raise OptionError("a reconstruction is of use to PnP alone, which nothing asks for")
-    scene = load_scene(request.scene)
+    scene = _scene_or_world(request)
     points = None if reconstruction is None else load_reconstruction(reconstruction)
     dataset = load_dataset(request.dataset, odometry=request.odometry, mask=request.mask)
     if request.ignore_odometry:
@@ -170,14 +176,35 @@ def localize(request: LocalizeRequest, progress: Progress = no_progress) -> RunS
         seed=request.seed,
         origin=origin,
         progress=progress,
-        landmarks=None if points is None else LandmarkSource(scene, points, str(reconstruction)),
+        landmarks=None if points is None else _landmarks(scene, points, str(reconstruction)),
     )
     save_run(request.output, run, request.overwrite)
     return RunSummary(request.output, run)
 
 
+def _scene_or_world(request: LocalizeRequest) -> Scene | OpenWorld:
+    """What is localized in.
+
+    Raises:
+        InputError: it cannot be used.
+        OptionError: a bound on memory for a scene.
+    """
+    if is_world(request.scene):
+        memory = DEFAULT_MEGABYTES if request.memory is None else request.memory
+        return open_world(request.scene, memory)
+    if request.memory is not None:
+        raise OptionError("--memory bounds what a world opens of its areas; a scene is one piece")
+    return load_scene(request.scene)
+
+
+def _landmarks(scene: Scene | OpenWorld, points: Reconstruction, name: str) -> LandmarkSource:
+    if isinstance(scene, OpenWorld):
+        raise OptionError(NO_PNP)
+    return LandmarkSource(scene, points, name)
+
+
 def localize_dataset(
-    scene: Scene,
+    scene: Scene | OpenWorld,
     dataset: Dataset,
     settings: LocalizerSettings | None = None,
     *,
@@ -190,7 +217,7 @@ def localize_dataset(
     """Localizes the robot in every frame of a data set, in memory.
 
     Args:
-        scene: the light field.
+        scene: the light field, or a world of several.
         dataset: with camera, mount and odometry, and a mask where there is one.
         settings: of the particle filter; None: the defaults.
         seed: of the filter's random numbers, not negative.
@@ -205,7 +232,8 @@ def localize_dataset(
         OptionError: settings that make no sense for this scene, or an argument of another type.
     """
     settings = LocalizerSettings() if settings is None else settings
-    checked_instance(scene, "the scene", Scene)
+    if not isinstance(scene, OpenWorld):
+        checked_instance(scene, "the scene", Scene)
     checked_instance(dataset, "the data set", Dataset)
     checked_instance(settings, "settings", LocalizerSettings)
     checked_number(seed, "seed", 0, whole=True)
@@ -221,13 +249,15 @@ def localize_dataset(
     camera, mount = camera_and_mount(dataset, space)
     mask = None if dataset.mask is None else dataset.mask.used
     notes = list(check_odometry(dataset, settings, odometry))
-    if space.angles == 1:
+    if space.angles == 1 and isinstance(scene, Scene):
         notes += notes_on_heights(scene, float(mount[2, 3]))
     body_poses = None
     if dataset.odometry is not None:
         body_poses = poses_at_images(dataset, dataset.odometry, odometry)
     pnp = None
     if settings.uses_pnp:
+        if isinstance(scene, OpenWorld):
+            raise OptionError(NO_PNP)
         pnp = PnpLocalizer(
             scene,
             LandmarkSource(scene, None) if landmarks is None else landmarks,
@@ -264,6 +294,7 @@ def localize_dataset(
         odometry=None if body_poses is None else space.states(body_poses),
         groundtruth=_groundtruth_states(dataset, space),
         provenance={**record, "notes": notes} if notes else record,
+        areas=scene.area_map if isinstance(scene, OpenWorld) else None,
     )
 
 

@@ -82,6 +82,8 @@ class PoseTracker:
         if not (_is_usable(aligned) and is_same_place(self._space, aligned.state, main.state)):
             return None
         fit = _Fit.of(self._model, aligned, self._images(observations))
+        if not fit.is_supported:
+            return None
         covariance = fit.inflation * aligned.covariance
         return Track(aligned.state, covariance, 0, aligned.state, fit.blur)
 
@@ -91,6 +93,8 @@ class PoseTracker:
         start, before = self._explained_start(main.state, track, images[-1])
         aligned = self._aligned(start, observations)
         fit = _Fit.of(self._model, aligned, images)
+        if not fit.is_supported:
+            return track.without_image()
         # What is minimised is not what says where the body is: an alignment that loses evidence
         # has given up what fits for a compromise with what does not.
         least = before - _insignificant(before)
@@ -143,6 +147,8 @@ class _Fit:
 
     Attributes:
         evidence: of the finest image.
+        is_supported: whether an image of any width speaks for the alignment. One that none speaks
+            for has ended where nothing fits, and its covariance tells nothing of its error.
         inflation: factor on the alignment's covariance. Where light or contents have changed,
             errors are larger than an image's own tiles tell.
         blur: factor on the track's covariance. A blurred image is explained from afar, but aligned
@@ -151,6 +157,7 @@ class _Fit:
     """
 
     evidence: float
+    is_supported: bool
     inflation: float
     blur: float
 
@@ -159,7 +166,8 @@ class _Fit:
         evidence = [model.evidence_at(aligned.state, image) for image in images]
         shares = list(map(model.explained_by, evidence, images))
         blur = max(1.0, shares[0] * len(shares) / sum(shares)) ** 2
-        return cls(evidence[-1], MODEL_ERROR**2 / shares[0] ** 2, blur)
+        inflation = MODEL_ERROR**2 / shares[0] ** 2
+        return cls(evidence[-1], max(evidence) > 0.0, inflation, blur)
 
 
 def _is_usable(aligned: Alignment) -> bool:

@@ -26,6 +26,7 @@ LARGEST_TRUE_ERROR = 0.05
 STATE_SHADE = {
     "searching": "#FAF0CC",
     "waiting": "#F3DCE6",
+    "route": "#EDE6F5",
     "staging": "#E3EEF7",
     "approach": "#D5EBDD",
     "alignment": "#C3DDCB",

@@ -228,6 +228,7 @@ def test_memory_bounds_the_photos_of_an_area(place: Path, tmp_path: Path) -> Non
         ({"views": 100, "megabytes": 10.0}, "exclude each other"),
         ({"file": Path("a.toml"), "views": 100}, "go with --areas auto"),
         ({"jobs": 0}, "--jobs 0 is not between"),
+        ({"jobs": 2, "scheduler": "tcp://127.0.0.1:1"}, "--jobs is for this machine"),
     ],
 )
 def test_silly_settings_are_refused(options: dict[str, object], reason: str) -> None:
@@ -410,7 +411,6 @@ def test_info_draws_the_areas(place: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "command",
     [
-        ("localize", "{world}", "{data}", "-o", "{output}"),
         ("render", "{world}", "-o", "{output}", "--pose", "0,0,0"),
         ("evaluate", "{world}", "--leave-one-out"),
         ("dock", "{world}", "--robot", "model", "--goal", "0,0,0", "-o", "{output}"),
@@ -430,7 +430,9 @@ def test_what_takes_one_scene_says_so(
     assert not output.exists()
 
 
-@pytest.mark.parametrize("option", [("--area-views", "100"), ("--jobs", "2")])
+@pytest.mark.parametrize(
+    "option", [("--area-views", "100"), ("--jobs", "2"), ("--scheduler", "tcp://127.0.0.1:1")]
+)
 def test_options_of_worlds_need_areas(place: Path, tmp_path: Path, option: tuple[str, str]) -> None:
     outcome = lfnav("model", place / "map", "-o", tmp_path / "scene.h5", *option)
     assert outcome.code == 2
@@ -464,3 +466,14 @@ def test_a_map_of_one_room_is_a_world_of_one_area(tmp_path: Path) -> None:
     )
     assert "area-01" in text
     assert "1 areas" not in text
+
+
+def test_photos_outside_of_all_areas_are_named(place: Path, tmp_path: Path) -> None:
+    west = TWO_ROOMS.split("[[area]]")[1]
+    (tmp_path / "west.toml").write_text("[[area]]" + west, encoding="utf-8")
+    options = ("--areas", tmp_path / "west.toml", "--plane", FLOOR)
+    outcome = lfnav("model", place / "map", "-o", tmp_path / "world", *options)
+    assert outcome.code == 0
+    left_out = np.count_nonzero(load_world(tmp_path / "world").home < 0)
+    assert left_out > 0
+    assert f"{left_out} of 224 photos lie outside of all areas" in outcome.err

@@ -19,6 +19,7 @@ from pipelines.localize.likelihood import Likelihood
 from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.mixture_mcl import MixtureProposalMcl
 from pipelines.localize.observation import Observation, Observations
+from pipelines.localize.search import GlobalSearch
 from pipelines.localize.settings import LocalizerSettings, MotionModel
 from pipelines.localize.state_space import PLANAR
 from pipelines.localize.strategies import (
@@ -115,8 +116,10 @@ def coarse_to_fine(told: Told, seed: int, **changes: Any) -> Strategy:
 
 
 def informed(told: Told, seed: int, **changes: Any) -> Strategy:
-    views = wall_scene().world_from_camera
-    return MixtureProposalMcl(told, REGION, views, settings(**changes), np.random.default_rng(seed))
+    views, chosen = wall_scene().world_from_camera, settings(**changes)
+    rng = np.random.default_rng(seed)
+    search = GlobalSearch(told, REGION, views, chosen, rng)
+    return MixtureProposalMcl(told, REGION, search, chosen, rng)
 
 
 def step(strategy: Strategy, observations: Observations, increment: FloatArray | None) -> Posterior:

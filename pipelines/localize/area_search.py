@@ -1,0 +1,127 @@
+"""Search in a world of areas: first for the areas that may hold the body, then within these."""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from pipelines.artifacts.arrays import FloatArray, IntArray
+from pipelines.localize.area_retrieval import AreaRetrieval
+from pipelines.localize.area_window import AreaWindow
+from pipelines.localize.belief import Region
+from pipelines.localize.observation import Observation, Observations
+from pipelines.localize.prediction import Prediction
+from pipelines.localize.retrieval import RetrievalIndex, joined, spread_states, states_around_views
+from pipelines.localize.search import GlobalSearch, ViewDatabase
+from pipelines.localize.settings import LocalizerSettings
+
+# Areas whose likeliest photo looks this much less like an image than the likeliest of all are not
+# searched, if so many are.
+LEAST_SCORE, LEAST_AREAS, MOST_AREAS = 0.8, 3, 6
+# The views of a search are spread over so many areas; all of them have as many each.
+AREAS_A_SEARCH = 3
+# An area is open while it holds this share of the predicted belief, or while the body is so near to
+# a place from which it was photographed; metres.
+HELD_SHARE, NEAR = 0.01, 1.0
+
+
+class AreaSearch(GlobalSearch):
+    """Searches a world for the states from which an image could have been taken.
+
+    Args:
+        window: of the areas that are open.
+        region: where the body may be: anywhere in the world.
+        settings: of the particle filter: widths of the images, number of views.
+        rng: the only source of randomness.
+    """
+
+    def __init__(
+        self,
+        window: AreaWindow,
+        region: Region,
+        settings: LocalizerSettings,
+        rng: np.random.Generator,
+    ) -> None:
+        super().__init__(window.model, region, window.world.world_from_camera, settings, rng)
+        self._window = window
+        self._retrieval: AreaRetrieval | None = None
+        self._ranked: tuple[Observation, tuple[int, ...]] | None = None
+        self._held: tuple[int, ...] = ()
+        self._views_of_area: dict[int, RetrievalIndex] = {}
+
+    def prepare(self, prediction: Prediction) -> None:
+        """Opens the areas where the body is predicted to be, and those that it may enter next.
+
+        Args:
+            prediction: the prior of the next image.
+        """
+        if prediction.anywhere_share == 1.0:
+            self._held = ()
+            return
+        area_map = self._window.world.area_map
+        places = prediction.centres[:, :2]
+        shares = area_map.shares(places, np.exp(prediction.log_weights))
+        held = [int(area) for area in np.argsort(-shares, kind="stable")]
+        held = [area for area in held if shares[area] >= HELD_SHARE]
+        heaviest = places[int(np.argmax(prediction.log_weights))]
+        near = [area for area in area_map.near(heaviest, NEAR).tolist() if area not in held]
+        self._held = tuple(held)
+        self._open([*held, *near])
+
+    def everywhere(self, observations: Observations) -> ViewDatabase:
+        """Views all over the areas in which an image may have been taken; these are opened.
+
+        Args:
+            observations: an image of the size that is searched for.
+        """
+        likely = self._likely(observations)
+        # Where the body was thought to be is looked at, whatever the image looks like.
+        self._open([*likely[:1], *self._held, *likely[1:]])
+        is_open = set(self._window.open_areas)
+        indices = []
+        for area in likely:
+            if area not in is_open:
+                continue
+            if area not in self._views_of_area:
+                self._views_of_area[area] = self._index(self._area_states(area), observations)
+            indices.append(self._views_of_area[area])
+        return ViewDatabase(joined(indices), 1.0)
+
+    def _open(self, areas: Iterable[int]) -> None:
+        self._window.need(areas)
+        is_open = set(self._window.open_areas)
+        for area in set(self._views_of_area) - is_open:
+            del self._views_of_area[area]
+
+    def _likely(self, observations: Observations) -> Sequence[int]:
+        """Numbers of the areas in which an image may have been taken, the likeliest first."""
+        coarse = observations.by_width[self._settings.coarse_width]
+        if self._ranked is not None and self._ranked[0] is coarse:
+            return self._ranked[1]
+        if self._retrieval is None:
+            self._retrieval = AreaRetrieval(
+                self._window.world, self._model.space, self._model.channels, coarse.intrinsics
+            )
+        ranked = self._retrieval(coarse)
+        least = LEAST_SCORE * ranked[0].score
+        likely = tuple(
+            found.area
+            for place, found in enumerate(ranked[:MOST_AREAS])
+            if place < LEAST_AREAS or found.score >= least
+        )
+        self._ranked = (coarse, likely)
+        return likely
+
+    def _area_states(self, area: int) -> FloatArray:
+        """States all over an area at which views are rendered."""
+        space, window = self._model.space, self._window
+        count = max(1, self._settings.search_particles // AREAS_A_SEARCH)
+        outline = window.world.outlines[area]
+        own: IntArray = window.world.index.areas[area].views
+        if space.angles == 1:
+            ground = self._region.ground
+            if outline.ground is not None:
+                ground = outline.ground
+            low, high = outline.bounds[[0, 2]], outline.bounds[[1, 3]]
+            return spread_states(space, Region(low, high, ground), count)
+        mount = self._model.body_from_camera
+        return states_around_views(space, self._views[own], mount, count, self._rng)

@@ -1,0 +1,199 @@
+"""The areas of a world that are open, as one light field: what is rendered at the moment.
+
+It is one light field of the views of all open areas, so that a border between two of them is none
+for what is rendered there. A photo that several areas hold is taken once, from the area in which it
+is at home where that one is open. Areas are opened when they are needed, and closed when their
+places are: first the one that has not been needed for longest.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from pipelines.artifacts.arrays import FloatArray, ImageArray
+from pipelines.artifacts.errors import OptionError
+from pipelines.lightfield.open_world import OpenWorld
+from pipelines.lightfield.size_budget import view_bytes
+from pipelines.lightfield.view_arena import ViewArena
+from pipelines.lightfield.views import Views, views_of_scene
+from pipelines.render.channels import views_in_channels
+from pipelines.render.choices import Blending, Channels, Quality
+from pipelines.render.renderer import Renderer
+
+# What is needed beside the views, megabytes: samples of depth maps, small views that are searched
+# among, and reading some views.
+BESIDE_VIEWS = 120.0
+# Areas with a photo so near to a place are rendered there; metres.
+NEAR = 1.0
+
+
+@dataclass(frozen=True)
+class RecordedViews(Views):
+    """Views of which no colours are kept: these are read again from the areas' files.
+
+    Attributes:
+        world: where they are read from.
+        keys: photo and area of each view.
+    """
+
+    world: OpenWorld
+    keys: tuple[tuple[int, int], ...]
+
+    def level(self, view: int, level: int) -> ImageArray:
+        """``(height, width, 3)`` RGB of one pyramid level of one view."""
+        photo, area = self.keys[view]
+        side = int(self.arrays.level_size[view, 0].max())
+        _, scene = next(self.world.scenes(area, [photo]))
+        return views_of_scene(scene, side).level(0, level)
+
+
+class AreaRenderers:
+    """Opens and closes areas within the world's budget of memory.
+
+    Args:
+        world: whose areas they are.
+        side: photos are area-averaged to so many pixels at most.
+        channels: in which photos are rendered.
+        blending: the rule that chooses and weights the views.
+        quality: how finely the surface follows the views' depth maps.
+        threads: how many work at the same time; None: one a processor.
+
+    Attributes:
+        world: the areas.
+        colours: the photos of the open areas.
+        renderers: of these in each of the channels.
+
+    Raises:
+        OptionError: memory that is too small for one of the areas, or a surface that is not the
+            same in all of them.
+        InputError: an area's file is damaged.
+    """
+
+    def __init__(
+        self,
+        world: OpenWorld,
+        side: int,
+        channels: Sequence[Channels],
+        blending: Blending,
+        quality: Quality,
+        threads: int | None,
+    ) -> None:
+        if quality is Quality.PLANE and world.plane is None:
+            raise OptionError(
+                "the areas of the world have no plane in common; make it with --geometry depth, "
+                "or with --plane for all of them"
+            )
+        self.world = world
+        self._side, self._channels = side, tuple(channels)
+        self._blending, self._quality, self._threads = blending, quality, threads
+        self._places = _places_within_budget(world, side, len(self._channels))
+        self._arena = ViewArena(self._places, side, len(self._channels))
+        self._open: tuple[int, ...] = ()
+        self._needed_at: dict[int, int] = {}
+        self._requests = 0
+        self.colours: Views | None = None
+        self.renderers: dict[Channels, Renderer] = {}
+
+    @property
+    def open_areas(self) -> tuple[int, ...]:
+        """Numbers of the open areas, rising."""
+        return self._open
+
+    def need(self, areas: Iterable[int]) -> bool:
+        """Opens areas, and closes others where memory is short.
+
+        Args:
+            areas: their numbers, the most important first; those that do not fit beside more
+                important ones stay closed.
+
+        Returns:
+            Whether ``colours`` and ``renderers`` are other ones now.
+        """
+        self._requests += 1
+        wanted: list[int] = []
+        for area in areas:
+            if area not in wanted and self._fit([*wanted, area]):
+                wanted.append(area)
+                self._needed_at[area] = self._requests
+        others = [area for area in self._open if area not in wanted]
+        for area in sorted(others, key=lambda other: -self._needed_at[other]):
+            if self._fit([*wanted, area]):
+                wanted.append(area)
+        if set(wanted) == set(self._open):
+            return False
+        self._arrange(tuple(sorted(wanted)))
+        return True
+
+    def at(self, place: FloatArray, channels: Channels) -> Renderer:
+        """A renderer of what is seen from a place, whose areas are opened.
+
+        Args:
+            place: ``(2,)`` or more coordinates, of which the first two count, metres.
+            channels: one of those that were asked for.
+        """
+        area_map = self.world.area_map
+        own = area_map.areas_of(place[None, :2]).tolist()
+        self.need([*own, *area_map.near(place[:2], NEAR).tolist()])
+        return self.renderers[channels]
+
+    def _fit(self, areas: Sequence[int]) -> bool:
+        """Whether the views of these areas have places for all of them at once."""
+        return len(self._sources(areas)) <= self._places
+
+    def _sources(self, areas: Sequence[int]) -> dict[int, int]:
+        """Photo -> the area from which it is taken while these areas are open."""
+        home = self.world.index.home
+        sources: dict[int, int] = {}
+        for area in sorted(areas):
+            for photo in self.world.index.areas[area].views.tolist():
+                if photo not in sources or home[photo] == area:
+                    sources[photo] = area
+        return sources
+
+    def _arrange(self, areas: tuple[int, ...]) -> None:
+        """Puts the views of these areas into the arena, and makes renderers of them."""
+        keys = sorted(self._sources(areas).items())
+        # What is drawn with these must not see the places change.
+        self.colours, self.renderers = None, {}
+        for key in set(self._arena.keys) - set(keys):
+            self._arena.drop(key)
+        for area in areas:
+            missing = [p for p, of in keys if of == area and (p, of) not in self._arena]
+            for photos, scene in self.world.scenes(area, missing):
+                colours = views_of_scene(scene, self._side)
+                kinds = [views_in_channels(colours, channels) for channels in self._channels]
+                for number, photo in enumerate(photos):
+                    self._arena.put((photo, area), kinds, number)
+        self._open = areas
+        views = [self._arena.views(keys, number) for number in range(len(self._channels))]
+        typical = self._arena.typical_inverse_depth(keys)
+        self.colours = RecordedViews(views[0].arrays, views[0].intrinsics, self.world, tuple(keys))
+        for channels, of_channels in zip(self._channels, views, strict=True):
+            self.renderers[channels] = Renderer(
+                of_channels,
+                self.world.plane,
+                self._blending,
+                self._quality,
+                self._threads,
+                typical,
+            )
+
+
+def _places_within_budget(world: OpenWorld, side: int, channels: int) -> int:
+    """How many views fit into the world's budget, and not more than it has.
+
+    Raises:
+        OptionError: fewer than the largest area has.
+    """
+    cameras = [camera for outline in world.outlines for camera in outline.cameras]
+    of_view = max(view_bytes(camera, side, channels, world.has_depth) for camera in cameras) / 1e6
+    places = int((world.memory - BESIDE_VIEWS) / of_view)
+    largest = max(world.index.areas, key=lambda area: len(area.views))
+    if places < len(largest.views):
+        least = math.ceil(BESIDE_VIEWS + len(largest.views) * of_view)
+        raise OptionError(
+            f"--memory {world.memory:g} is too small for area {largest.name} and its "
+            f"{len(largest.views)} views, which take {least} MB; "
+            "give more, or make the world with a smaller --area-views"
+        )
+    return min(places, len(world.index.image_names))
