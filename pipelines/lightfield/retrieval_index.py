@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipelines.artifacts.arrays import Float32Array, FloatArray, ImageArray, IntArray
+from pipelines.artifacts.arrays import BoolArray, Float32Array, FloatArray, ImageArray, IntArray
 from pipelines.artifacts.processes import in_threads
 from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.geometry.camera import Camera
@@ -27,12 +27,14 @@ from pipelines.lightfield.visual_words import Vocabulary, learn_vocabulary, samp
 # Features of an image, at most: the strongest.
 MAX_FEATURES = 300
 # Pixels a radian: finer images are reduced to this.
-RESOLUTION = 260.0
+RESOLUTION = 340.0
 # An image's feature is looked up in so many words.
 WORDS_LOOKED_UP = 3
 # Signatures that differ in more bits show something else; and how fast a match loses weight.
 MAX_BITS, SIGMA_BITS = 24, 10.0
 WEIGHT_OF_BITS = np.exp(-((np.arange(MAX_BITS + 1) / SIGMA_BITS) ** 2)).astype(np.float32)
+# How fast a feature that many areas match loses weight, and so many areas match any by chance.
+RARITY, MATCHED_ANYWAY = 1.5, 0.3
 # Photos whose features are put into words together.
 BATCH = 64
 # Descriptors are stored as bytes, in units of this; few of their numbers are above 0.5.
@@ -61,31 +63,49 @@ class RetrievalIndex:
     signatures: NDArray[np.uint64]
     count: int
 
-    def scores(self, descriptors: Float32Array) -> FloatArray:
+    def scores(
+        self, descriptors: Float32Array, home: IntArray, kept: BoolArray | None = None
+    ) -> FloatArray:
         """How much of an image each photo shows.
 
-        Every feature has one vote, which it shares among the photos whose features match: what is
-        seen in many places says little about any of them.
+        Features vote for the photos that show them; the more areas match a feature, the less it
+        says about any of them, and the less it counts.
 
         Args:
             descriptors: ``(F, 128)`` of the image's features, unit vectors.
+            home: ``(N,)`` the area in which each photo is at home; -1: in none.
+            kept: ``(N,)`` photos that are looked at; None: all.
 
         Returns:
-            ``(N,)`` share of the votes, 0: none.
+            ``(N,)``, 0: nothing.
         """
+        features, photos, matches = self._matches(
+            descriptors, home if kept is None else np.where(kept, home, -1)
+        )
+        best = np.zeros((len(descriptors), int(home.max(initial=0)) + 1), dtype=np.float32)
+        np.maximum.at(best, (features, home[photos]), matches)
+        weights = (MATCHED_ANYWAY + best.sum(axis=1)) ** -RARITY
+        total = np.bincount(photos, matches * weights[features], minlength=self.count)
+        return np.asarray(total / max(1, len(descriptors)), dtype=np.float64)
+
+    def _matches(
+        self, descriptors: Float32Array, home: IntArray
+    ) -> tuple[IntArray, IntArray, Float32Array]:
+        """Features, the photos in areas that match them, and how well they do, 0 to 1."""
         words, signatures = self.vocabulary.quantise(descriptors, WORDS_LOOKED_UP)
         words, signatures = words.reshape(-1), signatures.reshape(-1)
         lengths = self.starts[words + 1] - self.starts[words]
         ends = np.cumsum(lengths)
         rows = np.arange(lengths.sum()) + np.repeat(self.starts[words] - ends + lengths, lengths)
         bits = np.bitwise_count(np.repeat(signatures, lengths) ^ self.signatures[rows])
-        alike = np.flatnonzero(bits <= MAX_BITS)
-        votes = WEIGHT_OF_BITS[bits[alike]]
+        alike = np.flatnonzero((bits <= MAX_BITS) & (home[self.photos[rows]] >= 0))
         lookups = np.repeat(np.arange(len(words)), lengths)[alike]
-        voters = lookups // WORDS_LOOKED_UP
-        shares = votes / (1.0 + np.bincount(voters, votes, minlength=len(descriptors)))[voters]
-        total = np.bincount(self.photos[rows[alike]], shares, minlength=self.count)
-        return np.asarray(total / max(1, len(descriptors)), dtype=np.float64)
+        pairs = lookups // WORDS_LOOKED_UP * self.count + self.photos[rows[alike]]
+        # A photo that shows a feature several times shows it once.
+        order = np.lexsort((bits[alike], pairs))
+        first = order[np.flatnonzero(np.diff(pairs[order], prepend=-1))]
+        matches = WEIGHT_OF_BITS[bits[alike[first]]]
+        return pairs[first] // self.count, pairs[first] % self.count, matches
 
 
 def describe(image: ImageArray, camera: Camera, used: ImageArray | None = None) -> ImageArray:

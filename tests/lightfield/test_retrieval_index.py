@@ -26,7 +26,9 @@ from pipelines.lightfield.retrieval_file import (
     write_index,
 )
 from pipelines.lightfield.retrieval_index import (
+    MATCHED_ANYWAY,
     MAX_BITS,
+    RARITY,
     SIGMA_BITS,
     WORDS_LOOKED_UP,
     build_retrieval_index,
@@ -135,6 +137,7 @@ def test_scores_are_those_of_comparing_every_feature_with_every_other() -> None:
     stored = {
         number: vocabulary.quantise(unit_vectors(found)) for number, found in features.items()
     }
+    home = np.array([0, 0, 0, 1, 1, 1, 2, 2, 2, 3, 3, -1])
     expected = np.zeros(12)
     for own_words, own_signatures in zip(words, signatures, strict=True):
         votes = np.zeros(12)
@@ -142,10 +145,17 @@ def test_scores_are_those_of_comparing_every_feature_with_every_other() -> None:
             for number, (other_words, other_signatures) in stored.items():
                 for row in np.flatnonzero(other_words[:, 0] == word):
                     bits = bin(int(signature) ^ int(other_signatures[row, 0])).count("1")
-                    votes[number] += np.exp(-((bits / SIGMA_BITS) ** 2)) * (bits <= MAX_BITS)
-        expected += votes / (1.0 + votes.sum()) / len(query)
-    np.testing.assert_allclose(index.scores(unit_vectors(query)), expected, rtol=1e-4, atol=1e-9)
-    assert np.argmax(index.scores(unit_vectors(query))) in (3, 7)
+                    if bits <= MAX_BITS and home[number] >= 0:
+                        votes[number] = max(votes[number], np.exp(-((bits / SIGMA_BITS) ** 2)))
+        areas = sum(votes[home == area].max() for area in range(4))
+        expected += votes / (MATCHED_ANYWAY + areas) ** RARITY / len(query)
+    scores = index.scores(unit_vectors(query), home)
+    np.testing.assert_allclose(scores, expected, rtol=1e-4, atol=1e-9)
+    kept = np.arange(12) != 3
+    without = index.scores(unit_vectors(query), home, kept)
+    np.testing.assert_allclose(without, index.scores(unit_vectors(query), np.where(kept, home, -1)))
+    assert without[3] == 0.0
+    assert int(np.argmax(scores)) in (3, 7)
 
 
 def test_parts_are_taken_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -307,7 +317,9 @@ def test_what_is_written_is_read_back(recognition: AreaRecognition, tmp_path: Pa
         index, calibration = read_index(stored, len(recognition.home))
     assert calibration == recognition.calibration
     query = unit_vectors(descriptors(50, 5))
-    np.testing.assert_array_equal(index.scores(query), recognition.index.scores(query))
+    home = recognition.home
+    expected = recognition.index.scores(query, home)
+    np.testing.assert_array_equal(index.scores(query, home), expected)
 
 
 @pytest.mark.parametrize(
