@@ -33,8 +33,8 @@ WORDS_LOOKED_UP = 3
 # Signatures that differ in more bits show something else; and how fast a match loses weight.
 MAX_BITS, SIGMA_BITS = 24, 10.0
 WEIGHT_OF_BITS = np.exp(-((np.arange(MAX_BITS + 1) / SIGMA_BITS) ** 2)).astype(np.float32)
-# How fast a feature that many areas match loses weight, and so many areas match any by chance.
-RARITY, MATCHED_ANYWAY = 1.5, 0.3
+# How fast a feature loses weight that many areas match, and so many that make no difference yet.
+RARITY, MATCHED_ANYWAY = 2.0, 1.0
 # Photos whose features are put into words together.
 BATCH = 64
 # Descriptors are stored as bytes, in units of this; few of their numbers are above 0.5.
