@@ -27,6 +27,7 @@ from pipelines.artifacts.errors import InputError, LfnavError, StageError, quote
 from pipelines.artifacts.processes import die_with_parent
 from pipelines.artifacts.provenance import provenance, sha256_of_file, version_of
 from pipelines.artifacts.stages import Progress, no_progress
+from pipelines.lightfield.areas import Area
 from pipelines.lightfield.depth_maps import discard_finished
 from pipelines.lightfield.description import LEFT_OUT
 from pipelines.lightfield.retrieval_file import load_features, save_features
@@ -50,6 +51,7 @@ class AreaTask:
     Attributes:
         name: of the area.
         part: its photos and the points that they see.
+        own: names of those that are at home in the area.
         settings: of the model.
         path: the file to be written; it is kept where it is there already and whole.
         inputs: hashes of what it is made from, for its provenance.
@@ -57,6 +59,7 @@ class AreaTask:
 
     name: str
     part: Reconstruction
+    own: frozenset[str]
     settings: ModelSettings
     path: Path
     inputs: dict[str, str]
@@ -74,7 +77,7 @@ class BuiltArea:
         sha256: of the file.
         file_bytes: its size.
         memory_bytes: what ``lfnav localize`` holds of it in memory, by default.
-        features: file with the local features of its photos.
+        features: file with the local features of its own photos, in the scene's order.
     """
 
     path: Path
@@ -88,28 +91,29 @@ class BuiltArea:
 
 
 def area_task(
-    folder: Path, name: str, source: Reconstruction, views: IntArray, settings: ModelSettings
+    folder: Path, area: Area, source: Reconstruction, settings: ModelSettings
 ) -> AreaTask:
     """The task of building one area.
 
     Args:
         folder: for finished files.
-        name: of the area.
+        area: which photos it holds.
         source: the whole reconstruction.
-        views: indices of the area's photos, ascending.
         settings: of the model.
     """
-    part = _part_of(source, views)
+    part = _part_of(source, area.views)
+    own = [source.image_names[index] for index in area.own.tolist()]
     digest = hashlib.sha256()
     options = plain_options(settings)
-    content = [name, options, part.image_names, part.image_hashes, version_of("lfnav")]
+    content = [area.name, options, part.image_names, own, part.image_hashes, version_of("lfnav")]
     digest.update(json.dumps(content).encode())
     for array in (part.world_from_camera, part.timestamps, part.points, part.observations):
         digest.update(np.ascontiguousarray(array).tobytes())
     digest.update(repr([part.cameras, part.camera_index.tolist(), part.scale_source]).encode())
     digest.update(repr(part.base_from_camera).encode())
     key = digest.hexdigest()
-    return AreaTask(name, part, settings, folder / f"{name}.{key[:16]}.h5", {"area": key})
+    path = folder / f"{area.name}.{key[:16]}.h5"
+    return AreaTask(area.name, part, frozenset(own), settings, path, {"area": key})
 
 
 def build_area(task: AreaTask, progress: Progress = no_progress) -> BuiltArea:
@@ -131,8 +135,9 @@ def build_area(task: AreaTask, progress: Progress = no_progress) -> BuiltArea:
         save_scene(task.path, scene, overwrite=True, provenance={**record, LEFT_OUT: left_out})
         discard_finished(depth_folder)
     features = task.path.with_name(task.path.stem + FEATURES_SUFFIX)
-    if not _has_features(features, len(scene.image_names)):
-        save_features(features, features_of(scene))
+    own = [index for index, name in enumerate(scene.image_names) if name in task.own]
+    if not _has_features(features, len(own)):
+        save_features(features, features_of(scene, own))
     budget = size_budget(task.path, scene)
     return BuiltArea(
         task.path,

@@ -4,7 +4,8 @@ An area fits an image as well as the best of its own photos does. Fits become pr
 power law, in which no area at all is a hypothesis of its own: areas that are alike share the
 probability, and a place that the world does not hold fits none. The exponent and the fit of nothing
 are learnt from the map's photos: each is looked up as if it were a camera image, once without the
-photos from around its place, and once without the areas that show the place.
+photos from around its place (and as many of the other areas), and once without the areas that show
+the place.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipelines.artifacts.arrays import FloatArray, ImageArray, IntArray
+from pipelines.artifacts.arrays import BoolArray, FloatArray, ImageArray, IntArray
 from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.geometry.camera import Camera
 from pipelines.lightfield.retrieval_index import (
@@ -35,7 +36,7 @@ SMALLEST_FIT = 1e-6
 # An image of so many features is believed half.
 FEW_FEATURES = 10.0
 # Photos of the map that are looked up to learn from, and what draws them.
-EXAMPLES = 300
+EXAMPLES = 200
 SEED = 0
 
 
@@ -112,7 +113,7 @@ class AreaRecognition:
 
     def recognise_features(self, descriptors: ImageArray) -> Recognition:
         """The same for an image's features, as ``describe`` makes them."""
-        scores = self.index.scores(unit_vectors(descriptors))
+        scores = self.index.scores(unit_vectors(descriptors), self.home)
         areas, nothing = self.calibration.probabilities(area_fits(scores, self.home, self.areas))
         # Few features decide little: without any all hypotheses are equally probable.
         share = len(descriptors) / (len(descriptors) + FEW_FEATURES)
@@ -186,18 +187,32 @@ def calibrate(
     areas = len(shown_in)
     inside, right, outside = [], [], []
     for photo, descriptors in examples:
-        scores = index.scores(unit_vectors(descriptors))
-        around = np.linalg.norm(positions - positions[photo], axis=1) < LEFT_OUT_AROUND
-        around[photo] = True
-        inside.append(area_fits(np.where(around, 0.0, scores), home, areas))
+        vectors = unit_vectors(descriptors)
+        kept = _between_photos(index.scores(vectors, home), positions, home, areas)
+        kept[photo] = False
+        inside.append(area_fits(index.scores(vectors, home, kept), home, areas))
         right.append(home[photo])
-        elsewhere = inside[-1].copy()
-        elsewhere[shown_in[home[photo]]] = 0.0
-        if np.count_nonzero(elsewhere) > 0:
-            outside.append(elsewhere)
+        elsewhere = ~np.isin(home, shown_in[home[photo]])
+        fits = area_fits(index.scores(vectors, home, elsewhere), home, areas)
+        if np.count_nonzero(fits) > 0:
+            outside.append(fits)
     if not inside:
         return Calibration(1.0, USUAL_FIT_OF_NOTHING)
     return _most_likely(np.array(inside), np.array(right), np.array(outside).reshape(-1, areas))
+
+
+def _between_photos(
+    scores: FloatArray, positions: FloatArray, home: IntArray, areas: int
+) -> BoolArray:
+    """Photos ``(N,)`` but those around the best one of each area.
+
+    So no area has an advantage: a twin may have been photographed from the very same place.
+    """
+    order = np.argsort(scores, kind="stable")
+    best = np.zeros(areas, dtype=np.int64)
+    best[home[order]] = order  # the last one counts
+    distances = np.linalg.norm(positions - positions[best[home]], axis=1)
+    return np.asarray(distances >= LEFT_OUT_AROUND, dtype=np.bool_)
 
 
 def _most_likely(inside: FloatArray, right: IntArray, outside: FloatArray) -> Calibration:

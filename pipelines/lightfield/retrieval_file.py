@@ -63,7 +63,7 @@ def write_index(file: h5py.Group, index: RetrievalIndex, calibration: Calibratio
     """Writes the index into a world's file."""
     vocabulary = index.vocabulary
     numbers = np.array([calibration.exponent, calibration.nothing])
-    arrays = (
+    arrays: tuple[NDArray[Any], ...] = (
         *(vocabulary.mean, vocabulary.projection, vocabulary.coarse, vocabulary.fine),
         *(index.starts, index.photos, index.signatures, numbers),
     )

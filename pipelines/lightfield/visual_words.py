@@ -9,7 +9,7 @@ embedding, Jegou, Douze, Schmid 2008): features that show the same differ in few
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse
+import scipy
 
 from pipelines.artifacts.arrays import Float32Array, IntArray
 
@@ -22,6 +22,10 @@ MIN_CENTRES, MAX_CENTRES = 4, 192
 ITERATIONS = 8
 # Features a word from which the centres are learnt, at most.
 LEARNT_A_WORD = 16
+# Principal components are those of so many features.
+PRINCIPAL_SAMPLE = 50_000
+# Distances that are in memory at once.
+MAX_DISTANCES = 4_000_000
 # Other words that are looked up beside the nearest one lie in so many of the first level's cells.
 NEAR_CELLS = 2
 
@@ -98,11 +102,11 @@ def learn_vocabulary(
         rng: draws the first centres and the rotation.
     """
     mean = descriptors.mean(axis=0)
-    centred = descriptors - mean
-    components = np.linalg.eigh(centred.T @ centred)[1][:, : -DIMENSIONS - 1 : -1]
+    some = descriptors[:: 1 + len(descriptors) // PRINCIPAL_SAMPLE] - mean
+    components = np.linalg.eigh(some.T @ some)[1][:, : -DIMENSIONS - 1 : -1]
     rotation = np.linalg.qr(rng.standard_normal((DIMENSIONS, DIMENSIONS)))[0]
     projection = (components @ rotation).astype(np.float32)
-    points = centred @ projection
+    points = descriptors @ projection - mean @ projection
     size = centres_for(features)
     coarse = _centres(points, size, rng)
     cell = _nearest(points, coarse, 1)[0][:, 0]
@@ -124,12 +128,19 @@ def _nearest(
     points: Float32Array, centres: Float32Array, count: int
 ) -> tuple[IntArray, Float32Array]:
     """The nearest centres ``(P, count)``, and squared distances less the points' squared norms."""
-    distances = np.sum(centres**2, axis=1) - 2.0 * points @ centres.T
-    if count == 1:
-        found = distances.argmin(axis=1)[:, None]
-    else:
-        found = np.argpartition(distances, count - 1, axis=1)[:, :count]
-    return found, np.take_along_axis(distances, found, axis=1)
+    numbers = np.empty((len(points), count), dtype=np.int64)
+    distances = np.empty((len(points), count), dtype=np.float32)
+    lengths = np.sum(centres**2, axis=1)
+    step = max(1, MAX_DISTANCES // len(centres))
+    for start in range(0, len(points), step):
+        rows = slice(start, start + step)
+        every = lengths - 2.0 * points[rows] @ centres.T
+        if count == 1:
+            numbers[rows] = every.argmin(axis=1)[:, None]
+        else:
+            numbers[rows] = np.argpartition(every, count - 1, axis=1)[:, :count]
+        distances[rows] = np.take_along_axis(every, numbers[rows], axis=1)
+    return numbers, distances
 
 
 def _centres(

@@ -136,7 +136,7 @@ def model_world(
     division, record = _divided(source, areas, settings)
     _tell_left_out(source, division)
     building = output.with_name(output.name + BUILDING_SUFFIX)
-    tasks = [area_task(building, a.name, source, a.views, settings) for a in division.areas]
+    tasks = [area_task(building, area, source, settings) for area in division.areas]
     built = build_areas(tasks, areas.jobs, areas.scheduler, progress)
     inputs = {DESCRIPTION_NAME: sha256_of_file(reconstruction / DESCRIPTION_NAME)}
     world = _index(
@@ -242,13 +242,15 @@ def _index(
 def _recognition(world: World, built: list[BuiltArea], progress: Progress) -> AreaRecognition:
     """What finds the areas of an image, from the features that were found as areas were built."""
 
-    def part(area: WorldArea, scene: BuiltArea) -> Callable[[], PhotoFeatures]:
-        photos = area.views.tolist()
-        return lambda: dict(zip(photos, load_features(scene.features, len(photos)), strict=True))
+    def part(number: int) -> Callable[[], PhotoFeatures]:
+        views = world.areas[number].views
+        own = views[world.home[views] == number].tolist()
+        path = built[number].features
+        return lambda: dict(zip(own, load_features(path, len(own)), strict=True))
 
     names = [area.name for area in world.areas]
     return learn_recognition(
-        [part(area, scene) for area, scene in zip(world.areas, built, strict=True)],
+        [part(number) for number in range(len(built))],
         world.world_from_camera[:, :3, 3],
         world.home,
         [

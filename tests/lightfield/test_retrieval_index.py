@@ -26,7 +26,9 @@ from pipelines.lightfield.retrieval_file import (
     write_index,
 )
 from pipelines.lightfield.retrieval_index import (
+    MATCHED_ANYWAY,
     MAX_BITS,
+    RARITY,
     SIGMA_BITS,
     WORDS_LOOKED_UP,
     build_retrieval_index,
@@ -135,6 +137,7 @@ def test_scores_are_those_of_comparing_every_feature_with_every_other() -> None:
     stored = {
         number: vocabulary.quantise(unit_vectors(found)) for number, found in features.items()
     }
+    home = np.array([0, 0, 0, 1, 1, 1, 2, 2, 2, 3, 3, -1])
     expected = np.zeros(12)
     for own_words, own_signatures in zip(words, signatures, strict=True):
         votes = np.zeros(12)
@@ -142,22 +145,30 @@ def test_scores_are_those_of_comparing_every_feature_with_every_other() -> None:
             for number, (other_words, other_signatures) in stored.items():
                 for row in np.flatnonzero(other_words[:, 0] == word):
                     bits = bin(int(signature) ^ int(other_signatures[row, 0])).count("1")
-                    votes[number] += np.exp(-((bits / SIGMA_BITS) ** 2)) * (bits <= MAX_BITS)
-        expected += votes / (1.0 + votes.sum()) / len(query)
-    np.testing.assert_allclose(index.scores(unit_vectors(query)), expected, rtol=1e-4, atol=1e-9)
-    assert np.argmax(index.scores(unit_vectors(query))) in (3, 7)
+                    if bits <= MAX_BITS and home[number] >= 0:
+                        votes[number] = max(votes[number], np.exp(-((bits / SIGMA_BITS) ** 2)))
+        areas = sum(votes[home == area].max() for area in range(4))
+        expected += votes / (MATCHED_ANYWAY + areas) ** RARITY / len(query)
+    scores = index.scores(unit_vectors(query), home)
+    np.testing.assert_allclose(scores, expected, rtol=1e-4, atol=1e-9)
+    kept = np.arange(12) != 3
+    without = index.scores(unit_vectors(query), home, kept)
+    np.testing.assert_allclose(without, index.scores(unit_vectors(query), np.where(kept, home, -1)))
+    assert without[3] == 0.0
+    assert int(np.argmax(scores)) in (3, 7)
 
 
-def test_a_photo_in_several_parts_counts_once() -> None:
+def test_parts_are_taken_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
     features = {number: descriptors(30, number) for number in range(6)}
-    parts = [
-        {number: features[number] for number in (0, 1, 2, 3)},
-        {number: features[number] for number in (2, 3, 4, 5)},
-    ]
-    together = build_retrieval_index([lambda: features], 6, np.random.default_rng(0))
-    apart = build_retrieval_index([lambda: parts[0], lambda: parts[1]], 6, np.random.default_rng(0))
+    early, late = [{number: features[number] for number in part} for part in ((0, 2, 5), (1, 3))]
+    together = build_retrieval_index([lambda: early | late], 6, np.random.default_rng(0))
+    # And in steps of a few features.
+    monkeypatch.setattr("pipelines.lightfield.visual_words.MAX_DISTANCES", 40)
+    apart = build_retrieval_index([lambda: early, lambda: late], 6, np.random.default_rng(0))
+    assert apart.count == 6
     for name in ("starts", "photos", "signatures"):
         np.testing.assert_array_equal(getattr(apart, name), getattr(together, name))
+    assert 4 not in apart.photos
 
 
 def test_a_map_without_features_finds_nothing() -> None:
@@ -306,7 +317,9 @@ def test_what_is_written_is_read_back(recognition: AreaRecognition, tmp_path: Pa
         index, calibration = read_index(stored, len(recognition.home))
     assert calibration == recognition.calibration
     query = unit_vectors(descriptors(50, 5))
-    np.testing.assert_array_equal(index.scores(query), recognition.index.scores(query))
+    home = recognition.home
+    expected = recognition.index.scores(query, home)
+    np.testing.assert_array_equal(index.scores(query, home), expected)
 
 
 @pytest.mark.parametrize(
