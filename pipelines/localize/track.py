@@ -25,6 +25,10 @@ from pipelines.localize.state_space import StateSpace
 GATE = 0.999
 # After so many rejected alignments in a row odometry is wrong, or the track.
 MOST_REJECTED = 6
+# Alignments err by far more than usual now and then: in another minimum, beside a person, at the
+# map's border. So their errors have heavier tails than a normal distribution, about those of
+# Student's t with nine degrees of freedom, whose 95 % region has this factor in its covariance.
+HEAVY_TAILS = 1.5
 # Step of the numerical derivative of the motion, metres and radians.
 STEP = 1e-5
 
@@ -46,6 +50,16 @@ class Track:
     rejected: int = 0
     measured: FloatArray | None = None
     blur: float = 1.0
+
+    @property
+    def usual_covariance(self) -> FloatArray:
+        """``(D, D)`` of the usual error, without the map's own: what is common included."""
+        return self.blur * self.covariance
+
+    @property
+    def stated_covariance(self) -> FloatArray:
+        """``(D, D)`` whose normal 95 % region holds the state as often, without the map's error."""
+        return HEAVY_TAILS * self.usual_covariance
 
     def predicted(self, space: StateSpace, motion: FloatArray, sigmas: FloatArray) -> "Track":
         """After a motion.
