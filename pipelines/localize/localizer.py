@@ -226,8 +226,9 @@ class Localizer:
             track = self._tracker.update(main, observations)
             if track is not None:
                 estimates["refined"] = track.state
-                covariance = track.stated_covariance + self._map_covariance
-                refined_covariance = covariance
+                # How often errors are small is a matter of the usual ones, not of the tails.
+                covariance = track.usual_covariance + self._map_covariance
+                refined_covariance = track.stated_covariance + self._map_covariance
             if track is not None and track.measured is not None:
                 self._strategy.learn(track.measured)
         probability = posterior.place_probability if observations.is_informative else 0.0

@@ -52,9 +52,14 @@ class Track:
     blur: float = 1.0
 
     @property
+    def usual_covariance(self) -> FloatArray:
+        """``(D, D)`` of the usual error, without the map's own: what is common included."""
+        return self.blur * self.covariance
+
+    @property
     def stated_covariance(self) -> FloatArray:
         """``(D, D)`` whose normal 95 % region holds the state as often, without the map's error."""
-        return HEAVY_TAILS * self.blur * self.covariance
+        return HEAVY_TAILS * self.usual_covariance
 
     def predicted(self, space: StateSpace, motion: FloatArray, sigmas: FloatArray) -> "Track":
         """After a motion.
