@@ -13,6 +13,7 @@ from pipelines.artifacts.provenance import sha256_of_file
 from pipelines.dock.robots.choice import RobotOptions, robot_named
 from pipelines.dock.robots.noise import SensorNoise
 from pipelines.geometry.pose import world_from_base_planar
+from pipelines.lightfield.area_recognition import learn_recognition
 from pipelines.lightfield.recorded_paths import recorded_paths
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import as_stored, identified, save_scene
@@ -62,7 +63,13 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
         scene.image_names, scene.timestamps, scene.world_from_camera, home, paths.links,
         paths.lengths, tuple(areas), {"method": "file"}, {},
     )  # fmt: skip
-    save_index(path / WORLD_FILE, index)
+    # The robot's images do not depend on what finds areas.
+    none = {photo: np.zeros((0, 128), dtype=np.uint8) for photo in range(len(home))}
+    both = np.arange(2)
+    recognition = learn_recognition(
+        [lambda: none], index.world_from_camera[:, :3, 3], home, [both] * 2
+    )
+    save_index(path / WORLD_FILE, index, recognition)
     return path
 
 
