@@ -28,12 +28,16 @@ from pipelines.artifacts.provenance import provenance, sha256_of_file, version_o
 from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.lightfield.depth_maps import discard_finished
 from pipelines.lightfield.description import LEFT_OUT
+from pipelines.lightfield.retrieval_file import load_features, save_features
+from pipelines.lightfield.retrieval_index import features_of
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_scene, save_scene
 from pipelines.lightfield.size_budget import size_budget
 from pipelines.lightfield.stage import FINISHED_SUFFIX, ModelSettings, build_scene, plain_options
 from pipelines.reconstruct.reconstruction import Reconstruction, with_images
 
+# The features of an area's photos lie in a file of their own, beside the area's.
+FEATURES_SUFFIX = ".features.h5"
 T = TypeVar("T")
 _log = logging.getLogger(__name__)
 
@@ -69,6 +73,7 @@ class BuiltArea:
         sha256: of the file.
         file_bytes: its size.
         memory_bytes: what ``lfnav localize`` holds of it in memory, by default.
+        features: file with the local features of its photos.
     """
 
     path: Path
@@ -78,6 +83,7 @@ class BuiltArea:
     sha256: str
     file_bytes: int
     memory_bytes: int
+    features: Path
 
 
 def area_task(
@@ -123,6 +129,9 @@ def build_area(task: AreaTask, progress: Progress = no_progress) -> BuiltArea:
         record = provenance("model", plain_options(task.settings), task.inputs)
         save_scene(task.path, scene, overwrite=True, provenance={**record, LEFT_OUT: left_out})
         discard_finished(depth_folder)
+    features = task.path.with_name(task.path.stem + FEATURES_SUFFIX)
+    if not _has_features(features, len(scene.image_names)):
+        save_features(features, features_of(scene))
     budget = size_budget(task.path, scene)
     return BuiltArea(
         task.path,
@@ -132,6 +141,7 @@ def build_area(task: AreaTask, progress: Progress = no_progress) -> BuiltArea:
         sha256_of_file(task.path),
         sum(budget.file.values()),
         sum(budget.memory["localize"].values()),
+        features,
     )
 
 
@@ -215,3 +225,14 @@ def _finished(path: Path) -> Scene | None:
         return None
     _log.info("%s was finished before", path.name)
     return scene
+
+
+def _has_features(path: Path, photos: int) -> bool:
+    """Whether an earlier call finished the features of so many photos."""
+    if not path.is_file():
+        return False
+    try:
+        load_features(path, photos)
+    except InputError:
+        return False
+    return True

@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,17 +23,26 @@ from pipelines.artifacts.provenance import provenance, sha256_of_file
 from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.lightfield.area_build import BuiltArea, area_task, build_areas
 from pipelines.lightfield.area_file import read_area_file
+from pipelines.lightfield.area_recognition import AreaRecognition, learn_recognition
 from pipelines.lightfield.areas import (
     MIN_AREA_VIEWS,
     Division,
     divide_by_covisibility,
     divide_by_rectangles,
 )
+from pipelines.lightfield.retrieval_file import load_features
+from pipelines.lightfield.retrieval_index import PhotoFeatures
 from pipelines.lightfield.size_budget import view_memory
 from pipelines.lightfield.stage import ModelSettings, plain_options
 from pipelines.lightfield.stereo_depth import DepthSettings
 from pipelines.lightfield.world_description import WorldSummary
-from pipelines.lightfield.world_file import World, WorldArea, area_path, save_index
+from pipelines.lightfield.world_file import (
+    World,
+    WorldArea,
+    area_path,
+    recognition_bytes,
+    save_index,
+)
 from pipelines.reconstruct.reconstruction import (
     DESCRIPTION_NAME,
     Reconstruction,
@@ -122,13 +132,14 @@ def model_world(
     world = _index(
         source, division, built, record, provenance("model", plain_options(settings), inputs)
     )
+    recognition = _recognition(world, built, progress)
     with atomic_folder(output, overwrite, WORLD_FILE) as folder:
         (folder / AREA_FOLDER).mkdir()
         for area, scene in zip(world.areas, built, strict=True):
             _place(scene.path, area_path(folder, area.name))
-        save_index(folder / WORLD_FILE, world)
+        save_index(folder / WORLD_FILE, world, recognition)
     shutil.rmtree(building, ignore_errors=True)
-    return WorldSummary(output, world)
+    return WorldSummary(output, world, recognition_bytes(output))
 
 
 def _divided(
@@ -203,6 +214,26 @@ def _index(
         areas=tuple(rows),
         division=record,
         provenance=origin,
+    )
+
+
+def _recognition(world: World, built: list[BuiltArea], progress: Progress) -> AreaRecognition:
+    """What finds the areas of an image, from the features that were found as areas were built."""
+
+    def part(area: WorldArea, scene: BuiltArea) -> Callable[[], PhotoFeatures]:
+        photos = area.views.tolist()
+        return lambda: dict(zip(photos, load_features(scene.features, len(photos)), strict=True))
+
+    names = [area.name for area in world.areas]
+    return learn_recognition(
+        [part(area, scene) for area, scene in zip(world.areas, built, strict=True)],
+        world.world_from_camera[:, :3, 3],
+        world.home,
+        [
+            np.array([number, *map(names.index, area.neighbours)], dtype=np.int64)
+            for number, area in enumerate(world.areas)
+        ],
+        progress,
     )
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.lightfield.world_file import World, WorldArea, load_world
+from pipelines.lightfield.world_file import World, WorldArea, load_world, recognition_bytes
 
 
 @dataclass(frozen=True)
@@ -16,10 +16,12 @@ class WorldSummary:
     Attributes:
         path: the folder.
         world: its index.
+        retrieval_bytes: what finds the areas of an image takes in ``world.h5``; 0: there is none.
     """
 
     path: Path
     world: World
+    retrieval_bytes: int
 
     def table(self) -> list[tuple[str, ...]]:
         """Rows for people: one an area, and the sums."""
@@ -47,7 +49,8 @@ class WorldSummary:
             f"{facts['file_bytes'] / 1e6:.1f} MB",
             f"{sum(area['memory_bytes'] for area in facts['areas']) / 1e6:.1f} MB",
         )
-        return [*rows, total]
+        index = ("retrieval index", "", "", f"{self.retrieval_bytes / 1e6:.1f} MB")
+        return [*rows, total, index]
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON types."""
@@ -61,6 +64,7 @@ class WorldSummary:
             "left_out": int(np.count_nonzero(world.home < 0)),
             "links": len(world.links),
             "file_bytes": sum(area.file_bytes for area in world.areas),
+            "retrieval_bytes": self.retrieval_bytes,
             "areas": [self._area(number, area) for number, area in enumerate(world.areas)],
         }
 
@@ -85,4 +89,4 @@ def describe_world(path: Path) -> WorldSummary:
         InputError: missing, half built, damaged, of a newer schema, or with an area's file missing
             or of another build.
     """
-    return WorldSummary(path, load_world(path))
+    return WorldSummary(path, load_world(path), recognition_bytes(path))

@@ -3,8 +3,9 @@
 Layout of ``world.h5``: ``world`` (JSON: names of the photos, areas, how they were divided,
 provenance), ``timestamps``, ``world_from_camera`` and ``home`` of all N recorded photos, ``links``
 and ``link_lengths`` between their positions, and for each area, in the order of the list,
-``areas/0000/views``: which photos ``areas/NAME.h5`` holds. Readers pass over what they do not know,
-so that later versions may add arrays (descriptors of the views, say) under other names.
+``areas/0000/views``: which photos ``areas/NAME.h5`` holds. Since schema 2 also what finds the areas
+of an image (``retrieval_file``). Readers pass over what they do not know, so that later versions
+may add arrays under other names.
 """
 
 import hashlib
@@ -32,9 +33,11 @@ from pipelines.artifacts.safe_hdf5 import (
 )
 from pipelines.geometry.pose import are_rigid
 from pipelines.lightfield.area_file import is_area_name
+from pipelines.lightfield.area_recognition import AreaRecognition
+from pipelines.lightfield.retrieval_file import has_index, index_bytes, read_index, write_index
 from pipelines.lightfield.scene_file import scene_identifier
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 # Names of 100,000 photos take about this.
 MAX_INDEX_BYTES = 4 * MAX_JSON_BYTES
 REBUILD = "make the world again with lfnav model --areas"
@@ -111,8 +114,13 @@ def area_path(world: Path, name: str) -> Path:
     return world / AREA_FOLDER / f"{name}.h5"
 
 
-def save_index(path: Path, world: World) -> None:
+def save_index(path: Path, world: World, recognition: AreaRecognition) -> None:
     """Writes ``world.h5``.
+
+    Args:
+        path: the file.
+        world: what it holds.
+        recognition: of its areas.
 
     Raises:
         InputError: the file exists or cannot be written.
@@ -147,6 +155,7 @@ def save_index(path: Path, world: World) -> None:
         write_array(file, "link_lengths", world.link_lengths)
         for number, area in enumerate(world.areas):
             write_array(file, f"areas/{number:04d}/views", area.views)
+        write_index(file, recognition.index, recognition.calibration)
 
 
 def load_world(path: Path) -> World:
@@ -175,6 +184,31 @@ def load_world(path: Path) -> World:
     for area in world.areas:
         _check_area(area_path(path, area.name), area)
     return world
+
+
+def load_recognition(path: Path, world: World) -> AreaRecognition:
+    """Reads what finds the areas of an image; it takes some kilobytes a photo in memory.
+
+    Args:
+        path: the world's folder.
+        world: its index.
+
+    Raises:
+        InputError: damaged, or made by a version that did not keep it.
+    """
+    index = path / WORLD_FILE
+    with open_hdf5(index) as file:
+        check_schema(file, WORLD_FORMAT, SCHEMA_VERSION)
+        if not has_index(file):
+            raise InputError(index, "does not hold what finds the area of an image", REBUILD)
+        found, calibration = read_index(file, len(world.image_names))
+    return AreaRecognition(found, world.home, len(world.areas), calibration)
+
+
+def recognition_bytes(path: Path) -> int:
+    """What it takes in the world's file; 0: there is none."""
+    with open_hdf5(path / WORLD_FILE) as file:
+        return index_bytes(file) if has_index(file) else 0
 
 
 def _world_of(file: SafeFile, fields: JsonFields) -> World:

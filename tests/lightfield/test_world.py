@@ -22,7 +22,7 @@ from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_scene
 from pipelines.lightfield.stage import ModelSettings, build_scene
 from pipelines.lightfield.world import AreaSettings, model_world
-from pipelines.lightfield.world_file import load_world
+from pipelines.lightfield.world_file import load_recognition, load_world
 from pipelines.reconstruct.reconstruction import Reconstruction
 from tests.chain_samples import lfnav, succeed
 from tests.world_samples import FLOOR, TWO_ROOMS, room_places, rooms_reconstruction
@@ -108,7 +108,7 @@ def test_finished_areas_are_not_built_again(
     building = tmp_path / "world.areas-in-progress"
     assert "is a world that is being built" in lfnav("info", building).err
     kept = list(building.iterdir())
-    assert [path.name.split(".")[0] for path in kept] == ["west"]
+    assert {path.name.split(".")[0] for path in kept} == {"west"}
     model_world(place / "map", tmp_path / "world", drawn, FLAT)
     assert len(built) == 3
     assert content(tmp_path / "world") == content(place / "world")
@@ -126,8 +126,10 @@ def test_damaged_and_outdated_finished_areas_are_built_again(
         with pytest.raises(StageError, match="stop"):
             model_world(place / "map", tmp_path / "world", drawn, FLAT)
     kept = sorted((tmp_path / "world.areas-in-progress").iterdir())
-    assert len(kept) == 2
-    kept[0].write_bytes(kept[0].read_bytes()[:1000])
+    # Of each area its scene and its features.
+    assert len(kept) == 4
+    for path in kept[:3]:
+        path.write_bytes(path.read_bytes()[:1000])
     other = ModelSettings(plane=(0.0, 0.0, 1.0, 0.1))
     model_world(place / "map", tmp_path / "other", drawn, other)
     model_world(place / "map", tmp_path / "world", drawn, FLAT)
@@ -361,6 +363,19 @@ def test_a_link_that_leads_nowhere_is_refused(place: Path, tmp_path: Path) -> No
         load_world(world)
 
 
+def test_a_world_of_schema_1_is_read_and_says_how_to_mend_it(place: Path, tmp_path: Path) -> None:
+    old = tmp_path / "world"
+    shutil.copytree(place / "world", old)
+    with h5py.File(old / "world.h5", "r+") as file:
+        del file["retrieval"]
+        file.attrs["schema_version"] = 1
+    world = load_world(old)
+    assert world.identifier == load_world(place / "world").identifier
+    assert json.loads(succeed("info", old, "--json"))["retrieval_bytes"] == 0
+    with pytest.raises(InputError, match="make the world again with lfnav model --areas"):
+        load_recognition(old, world)
+
+
 # --- the command line ----------------------------------------------------------------------------
 
 
@@ -374,6 +389,9 @@ def test_info_prints_the_areas(place: Path) -> None:
     assert facts["photos"] == 224
     assert [area["neighbours"] for area in facts["areas"]] == [["east"], ["west"]]
     assert facts["areas"][0]["rectangle_m"] == [-4.0, 0.0, -2.0, 2.0]
+    assert 0 < facts["retrieval_bytes"] < (place / "world" / "world.h5").stat().st_size
+    size = f"{facts['retrieval_bytes'] / 1e6:.1f}"
+    assert text.splitlines()[-1].split() == ["retrieval", "index", size, "MB"]
 
 
 def test_info_draws_the_areas(place: Path, tmp_path: Path) -> None:

@@ -16,8 +16,9 @@ from pipelines.artifacts.errors import OptionError
 from pipelines.dataset.dataset import PAIRING_TOLERANCE
 from pipelines.dataset.images import encode_png
 from pipelines.geometry.pose import inverse, pose_from_rotation
+from pipelines.lightfield.local_features import find_features
 from pipelines.lightfield.scene_file import save_scene
-from pipelines.localize.feature_pose import find_features, match, pose_covariance
+from pipelines.localize.feature_pose import match, pose_covariance
 from pipelines.localize.pnp import MIN_INLIERS, PnpAnswer, PnpLocalizer, covariance_at
 from pipelines.localize.run import load_run
 from pipelines.localize.state_space import PLANAR, SPATIAL, StateSpace
