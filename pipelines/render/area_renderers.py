@@ -99,6 +99,11 @@ class AreaRenderers:
         """Numbers of the open areas, rising."""
         return self._open
 
+    @property
+    def fits_as_a_whole(self) -> bool:
+        """Whether all areas may be open at once."""
+        return self._fit(range(len(self.world.index.areas)))
+
     def need(self, areas: Iterable[int]) -> bool:
         """Opens areas, and closes others where memory is short.
 
