@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from pipelines.geometry.pose import world_from_base_planar as world_from_base_planar
     from pipelines.geometry.trajectory import Trajectory as Trajectory
     from pipelines.geometry.trajectory import read_tum as read_tum
+    from pipelines.lightfield.open_world import OpenWorld as OpenWorld
+    from pipelines.lightfield.open_world import open_world as open_world
     from pipelines.lightfield.scene import Scene as Scene
     from pipelines.lightfield.scene_file import load_scene as load_scene
     from pipelines.lightfield.scene_file import save_scene as save_scene
@@ -104,6 +106,7 @@ _HOMES = {
     "MotionModel": "pipelines.localize.settings",
     "MotionNoise": "pipelines.dock.robots.noise",
     "Observer": "pipelines.localize.observation",
+    "OpenWorld": "pipelines.lightfield.open_world",
     "OptionError": "pipelines.artifacts.errors",
     "Outcome": "pipelines.dock.states",
     "OutcomeKind": "pipelines.dock.states",
@@ -143,6 +146,7 @@ _HOMES = {
     "localize_dataset": "pipelines.localize.stage",
     "model": "pipelines.lightfield.stage",
     "no_progress": "pipelines.artifacts.stages",
+    "open_world": "pipelines.lightfield.open_world",
     "planar_state_of": "pipelines.geometry.pose",
     "plane_from_coefficients": "pipelines.geometry.plane",
     "read_tum": "pipelines.geometry.trajectory",

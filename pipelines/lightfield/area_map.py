@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 import scipy
 
-from pipelines.artifacts.arrays import FloatArray, IntArray, checked_array
+from pipelines.artifacts.arrays import BoolArray, FloatArray, IntArray, checked_array
 from pipelines.artifacts.errors import OptionError
 from pipelines.artifacts.safe_hdf5 import SafeFile, write_array, write_json
 
@@ -46,6 +46,20 @@ class AreaMap:
     def areas_of(self, places: FloatArray) -> IntArray:
         """The area ``(M,)`` in which each of the places ``(M, 2)``, metres, lies."""
         return np.asarray(self.home[self._tree.query(places)[1]], dtype=np.int64)
+
+    def borders(self, places: FloatArray, metres: float) -> BoolArray:
+        """Which areas places ``(M, 2)`` lie in or next to, ``(M, A)``.
+
+        Args:
+            places: metres.
+            metres: by so much the nearest photo of an area may be farther than that of the nearest.
+        """
+        distances = np.full((len(places), len(self.names)), np.inf)
+        for area in np.unique(self.home).tolist():
+            own = self.places[self.home == area]
+            found = scipy.spatial.cKDTree(own).query(places)[0]
+            distances[:, area] = found
+        return np.asarray(distances <= distances.min(axis=1, keepdims=True) + metres)
 
     def near(self, place: FloatArray, metres: float) -> IntArray:
         """Numbers of the areas with a photo taken so near to a place ``(2,)``, rising."""

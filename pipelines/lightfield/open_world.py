@@ -12,10 +12,11 @@ from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import InputError
 from pipelines.geometry.plane import Plane
 from pipelines.lightfield.area_map import AreaMap
+from pipelines.lightfield.area_recognition import AreaRecognition
 from pipelines.lightfield.free_ground import FreeGround
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_part
-from pipelines.lightfield.world_file import World, area_path, load_world
+from pipelines.lightfield.world_file import World, area_path, load_recognition, load_world
 
 # Side of the cells of the whole floor's free ground, metres.
 GROUND_CELL = 0.1
@@ -34,6 +35,7 @@ class OpenWorld:
         index: areas, photos, and where these were taken.
         outlines: of each area its scene with one view, for cameras, surface and ground.
         ground: where on the floor a robot can be, in any area.
+        recognition: finds the areas in which an image may have been taken.
         memory: megabytes that open areas and all that belongs to localizing in them may take.
     """
 
@@ -41,6 +43,7 @@ class OpenWorld:
     index: World
     outlines: tuple[Scene, ...]
     ground: FreeGround
+    recognition: AreaRecognition
     memory: float = DEFAULT_MEGABYTES
 
     @property
@@ -140,7 +143,9 @@ def open_world(path: PathLike, memory: float = DEFAULT_MEGABYTES) -> OpenWorld:
         if outline.image_names[0] != index.image_names[area.views[0]]:
             raise InputError(file, "holds other photos than the world's index says")
         outlines.append(outline)
-    return OpenWorld(path, index, tuple(outlines), _united_ground(outlines), float(memory))
+    recognition = load_recognition(path, index)
+    ground = _united_ground(outlines)
+    return OpenWorld(path, index, tuple(outlines), ground, recognition, float(memory))
 
 
 def _united_ground(outlines: Sequence[Scene]) -> FreeGround:

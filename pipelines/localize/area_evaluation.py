@@ -1,6 +1,7 @@
 """How well a run in a world knew in which area the body was, and how it crossed borders.
 
-The true area is that of the nearest photo that is at home in an area (``lightfield.area_map``).
+The true area is that of the nearest photo that is at home in an area (``lightfield.area_map``); on
+the border between two, either.
 """
 
 from dataclasses import dataclass
@@ -16,6 +17,8 @@ from pipelines.localize.state_space import known_states
 FIRST_FRAMES = 3
 # A border is crossed over so many frames before and after it.
 AROUND_BORDER = 3
+# Metres by which the nearest photo of another area may be farther where a place is on their border.
+BORDER_WIDTH = 0.1
 
 
 @dataclass(frozen=True)
@@ -83,9 +86,12 @@ def evaluate_areas(run: Run, truth: FloatArray, estimated: FloatArray) -> AreaEv
     belief = np.stack([f.area_belief for f in run.frames if f.area_belief is not None])
     areas = np.full(len(truth), -1, dtype=np.int64)
     areas[known] = run.areas.areas_of(truth[known, :2])
-    probability = belief[np.arange(len(truth)), areas]
+    # On a border itself it is both: an estimate may be on its other side by a millimetre.
+    is_true = np.zeros(belief.shape, dtype=np.bool_)
+    is_true[known] = run.areas.borders(truth[known, :2], BORDER_WIDTH)
+    probability = np.where(is_true, belief, 0.0).sum(axis=1)
     none = 1.0 - belief.sum(axis=1)
-    right = (np.argmax(belief, axis=1) == areas) & (probability > none)
+    right = is_true[np.arange(len(truth)), np.argmax(belief, axis=1)] & (probability > none)
     later = known & (np.arange(len(truth)) >= FIRST_FRAMES)
     is_border = known[1:] & known[:-1] & (areas[1:] != areas[:-1])
     errors = estimated[:, :2] - truth[:, :2]

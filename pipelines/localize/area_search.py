@@ -1,24 +1,23 @@
 """Search in a world of areas: first for the areas that may hold the body, then within these."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
-from pipelines.artifacts.arrays import FloatArray, IntArray
-from pipelines.localize.area_retrieval import AreaRetrieval
+from pipelines.artifacts.arrays import BoolArray, FloatArray, IntArray
+from pipelines.geometry.camera import Camera
 from pipelines.localize.area_window import AreaWindow
 from pipelines.localize.belief import Region
-from pipelines.localize.observation import Observation, Observations
+from pipelines.localize.observation import Observations
 from pipelines.localize.prediction import Prediction
 from pipelines.localize.retrieval import RetrievalIndex, joined, spread_states, states_around_views
 from pipelines.localize.search import GlobalSearch, ViewDatabase
 from pipelines.localize.settings import LocalizerSettings
 
-# Areas whose likeliest photo looks this much less like an image than the likeliest of all are not
-# searched, if so many are.
-LEAST_SCORE, LEAST_AREAS, MOST_AREAS = 0.8, 3, 6
-# The views of a search are spread over so many areas; all of them have as many each.
-AREAS_A_SEARCH = 3
+# Areas are searched that together hold this share of the probability, and so many of them.
+SEARCHED_SHARE, LEAST_AREAS, MOST_AREAS = 0.99, 2, 6
+# Views of a search are shared out to so many areas, whether or not so many are searched.
+AREAS_A_SEARCH = 6
 # An area is open while it holds this share of the predicted belief, or while the body is so near to
 # a place from which it was photographed; metres.
 HELD_SHARE, NEAR = 0.01, 1.0
@@ -31,6 +30,8 @@ class AreaSearch(GlobalSearch):
         window: of the areas that are open.
         region: where the body may be: anywhere in the world.
         settings: of the particle filter: widths of the images, number of views.
+        camera: the robot's.
+        mask: ``(height, width)``, True where its images are to be used; None: everywhere.
         rng: the only source of randomness.
     """
 
@@ -39,12 +40,15 @@ class AreaSearch(GlobalSearch):
         window: AreaWindow,
         region: Region,
         settings: LocalizerSettings,
+        camera: Camera,
+        mask: BoolArray | None,
         rng: np.random.Generator,
     ) -> None:
         super().__init__(window.model, region, window.world.world_from_camera, settings, rng)
         self._window = window
-        self._retrieval: AreaRetrieval | None = None
-        self._ranked: tuple[Observation, tuple[int, ...]] | None = None
+        self._camera = camera
+        self._used = None if mask is None else mask.astype(np.uint8)
+        self._ranked: tuple[int, tuple[int, ...]] = (-1, ())
         self._held: tuple[int, ...] = ()
         self._views_of_area: dict[int, RetrievalIndex] = {}
 
@@ -92,24 +96,19 @@ class AreaSearch(GlobalSearch):
         for area in set(self._views_of_area) - is_open:
             del self._views_of_area[area]
 
-    def _likely(self, observations: Observations) -> Sequence[int]:
+    def _likely(self, observations: Observations) -> tuple[int, ...]:
         """Numbers of the areas in which an image may have been taken, the likeliest first."""
-        coarse = observations.by_width[self._settings.coarse_width]
-        if self._ranked is not None and self._ranked[0] is coarse:
-            return self._ranked[1]
-        if self._retrieval is None:
-            self._retrieval = AreaRetrieval(
-                self._window.world, self._model.space, self._model.channels, coarse.intrinsics
+        number = observations.by_width[self._settings.coarse_width].number
+        # Several priors are tried on one image, which says the same of areas each time.
+        if number != self._ranked[0] and observations.recorded is not None:
+            recognised = self._window.world.recognition.recognise(
+                observations.recorded, self._camera, self._used
             )
-        ranked = self._retrieval(coarse)
-        least = LEAST_SCORE * ranked[0].score
-        likely = tuple(
-            found.area
-            for place, found in enumerate(ranked[:MOST_AREAS])
-            if place < LEAST_AREAS or found.score >= least
-        )
-        self._ranked = (coarse, likely)
-        return likely
+            count = len(recognised.likely_areas(SEARCHED_SHARE))
+            ranked = np.argsort(-recognised.areas, kind="stable")
+            likely = ranked[: min(max(count, LEAST_AREAS), MOST_AREAS)]
+            self._ranked = (number, tuple(likely.tolist()))
+        return self._ranked[1]
 
     def _area_states(self, area: int) -> FloatArray:
         """States all over an area at which views are rendered."""

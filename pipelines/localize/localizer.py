@@ -23,6 +23,7 @@ from pipelines.geometry.camera import Camera
 from pipelines.geometry.pose import checked_poses
 from pipelines.lightfield.open_world import OpenWorld
 from pipelines.lightfield.scene import Scene
+from pipelines.localize.area_proof import AreaProof
 from pipelines.localize.area_search import AreaSearch
 from pipelines.localize.area_window import AreaWindow
 from pipelines.localize.belief import Region, effective_sample_size, region_of_area
@@ -107,8 +108,14 @@ class Localizer:
             # A body that is followed needs all of them: they are learnt while it is looked for.
             model.learn_pixels([width for width in settings.widths if width >= settings.fine_width])
         region = region_of(scene, settings)
-        self._strategy = _strategy(model, region, scene, self._window, settings, rng)
-        self._status = StatusMonitor(model, settings)
+        if self._window is None:
+            search = GlobalSearch(model, region, scene.world_from_camera, settings, rng)
+        else:
+            search = AreaSearch(self._window, region, settings, camera, mask, rng)
+        self._strategy = _strategy(model, region, search, settings, rng)
+        is_found = self._window is not None and settings.start is None
+        proof = AreaProof(model, settings) if is_found else None
+        self._status = StatusMonitor(model, settings, proof)
         self._tracker = PoseTracker(model, settings)
         sigmas = sigmas_of(self.space, settings.map_position_sigma, settings.map_heading_sigma)
         self._map_covariance = np.diag(sigmas**2)
@@ -231,7 +238,7 @@ class Localizer:
                 refined_covariance = track.stated_covariance + self._map_covariance
             if track is not None and track.measured is not None:
                 self._strategy.learn(track.measured)
-        probability = posterior.place_probability if observations.is_informative else 0.0
+        probability = self._status.probability(posterior) if observations.is_informative else 0.0
         return FrameRecord(
             timestamp=timestamp,
             image_name=image_name,
@@ -308,8 +315,7 @@ def region_of(scene: Scene | OpenWorld, settings: LocalizerSettings) -> Region:
 def _strategy(
     model: MeasurementModel,
     region: Region,
-    scene: Scene | OpenWorld,
-    window: AreaWindow | None,
+    search: GlobalSearch,
     settings: LocalizerSettings,
     rng: np.random.Generator,
 ) -> Strategy:
@@ -317,10 +323,6 @@ def _strategy(
         return Condensation(model, region, settings, rng)
     if settings.strategy == "coarse_to_fine":
         return CoarseToFine(model, region, settings, rng)
-    if window is None:
-        search = GlobalSearch(model, region, scene.world_from_camera, settings, rng)
-    else:
-        search = AreaSearch(window, region, settings, rng)
     return MixtureProposalMcl(model, region, search, settings, rng)
 
 

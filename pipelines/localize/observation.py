@@ -138,6 +138,7 @@ class Observations:
             time that what was concluded from earlier images may be wrong.
         is_repeated: whether it is the same image as the one before.
         is_stale: whether it is the same although the body has moved: the camera hangs.
+        recorded: ``(height, width, 3)`` the image as recorded; None: not known.
     """
 
     by_width: Mapping[int, Observation]
@@ -145,6 +146,7 @@ class Observations:
     is_newly_masked: bool = False
     is_repeated: bool = False
     is_stale: bool = False
+    recorded: ImageArray | None = None
 
     def widths_from(self, least: int) -> list[int]:
         """The widths of at least so many pixels, rising."""
@@ -234,7 +236,7 @@ class Observer:
             for width, small in sizes.items()
         }
         self._number += 1
-        return Observations(by_width, contrast, is_newly_masked, is_repeated)
+        return Observations(by_width, contrast, is_newly_masked, is_repeated, recorded=self._last)
 
     def _fixed(self, image: Float32Array, used: BoolArray) -> BoolArray:
         """Pixels ``(H, W)``, among the used ones, that kept their colours in all images so far."""

@@ -79,20 +79,6 @@ def build_index(
     """Renders the small views of states ``(N, D)``; the renderer's photos are in channels."""
     poses = space.poses(states) @ body_from_camera
     images, covered = renderer.render_many(poses, intrinsics)
-    return index_of_images(states, images, covered, intrinsics)
-
-
-def index_of_images(
-    states: FloatArray, images: Float32Array, covered: BoolArray, intrinsics: Intrinsics
-) -> RetrievalIndex:
-    """The index of images that are there already; they are overwritten.
-
-    Args:
-        states: ``(N, D)`` from which they were taken.
-        images: ``(N, H, W, 3)`` in channels.
-        covered: ``(N, H, W)`` pixels that show the scene.
-        intrinsics: of the images.
-    """
     images -= np.float32(ZERO)
     images[~covered] = 0.0
     order, starts = _tiles(intrinsics)

@@ -4,6 +4,8 @@ import os
 from pathlib import Path
 
 from pipelines.artifacts.errors import InputError
+from pipelines.artifacts.kinds import is_world
+from pipelines.lightfield.open_world import OpenWorld, open_world
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_scene
 from pipelines.localize.run import Run
@@ -18,8 +20,10 @@ def relative_scene_path(scene_path: Path, run_path: Path) -> str:
         return str(scene_path.resolve())
 
 
-def load_scene_of_run(run: Run, run_path: Path, given: Path | None) -> tuple[Path, Scene]:
-    """The scene that a run was made with, and its file.
+def load_scene_of_run(
+    run: Run, run_path: Path, given: Path | None
+) -> tuple[Path, Scene | OpenWorld]:
+    """The scene or the world that a run was made with, and where it is.
 
     Args:
         run: the run.
@@ -30,13 +34,13 @@ def load_scene_of_run(run: Run, run_path: Path, given: Path | None) -> tuple[Pat
         InputError: it is not there, or unreadable, or the run was made with another one.
     """
     path = locate_scene(run, run_path) if given is None else given
-    if given is None and not path.is_file():
+    if given is None and not (path.is_file() or is_world(path)):
         raise InputError(
             path,
             f"is not there, but {run_path} was made with it",
             "say where the scene is now with --scene",
         )
-    scene = load_scene(path)
+    scene = open_world(path) if is_world(path) else load_scene(path)
     check_run_belongs_to(run, scene.identifier, run_path, path)
     return path, scene
 

@@ -16,6 +16,7 @@ import math
 import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray
+from pipelines.localize.area_proof import UNPROVEN_PROBABILITY, AreaProof
 from pipelines.localize.estimate import Mode
 from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.observation import Observations
@@ -39,11 +40,18 @@ class StatusMonitor:
     Args:
         model: aligns states with images and says how well images are explained.
         settings: of the particle filter: widths of the images, and whether a start pose is given.
+        proof: what has to be given besides, in a world of areas; None: a scene.
     """
 
-    def __init__(self, model: MeasurementModel, settings: LocalizerSettings) -> None:
+    def __init__(
+        self,
+        model: MeasurementModel,
+        settings: LocalizerSettings,
+        proof: AreaProof | None = None,
+    ) -> None:
         self._model = model
         self._settings = settings
+        self._proof = proof
         self._was_tracked = False
         self._images_in_favour = 0
 
@@ -60,13 +68,26 @@ class StatusMonitor:
             return "stale"
         main = posterior.modes[0]
         is_one_place = posterior.place_probability >= TRACKING_PROBABILITY and _is_narrow(main)
+        is_proven = self._proof is None or self._proof.update(
+            main if is_one_place else None, observations
+        )
         if not is_one_place:
             self._images_in_favour = 0
-        elif not posterior.is_inconclusive and self._is_confirmed(main, observations):
+        elif is_proven and not posterior.is_inconclusive and self._is_confirmed(main, observations):
             self._was_tracked = True
             return "tracking"
         is_search = (posterior.fits_a_place or is_one_place) and not self._was_tracked
         return "global" if posterior.inside >= LOST_PROBABILITY or is_search else "lost"
+
+    def probability(self, posterior: Posterior) -> float:
+        """Probability that the body is in the main place, after ``judge``.
+
+        Args:
+            posterior: the belief after the image.
+        """
+        if self._proof is None or self._proof.is_given:
+            return posterior.place_probability
+        return min(posterior.place_probability, UNPROVEN_PROBABILITY)
 
     def _is_confirmed(self, main: Mode, observations: Observations) -> bool:
         """Whether enough images, or one that leaves little unexplained, speak for the main mode."""

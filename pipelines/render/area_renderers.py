@@ -22,7 +22,7 @@ from pipelines.render.renderer import Renderer
 
 # What is needed beside the views, megabytes: samples of depth maps, small views that are searched
 # among, and reading some views.
-BESIDE_VIEWS = 120.0
+BESIDE_VIEWS = 175.0
 # Areas with a photo so near to a place are rendered there; metres.
 NEAR = 1.0
 
@@ -98,6 +98,11 @@ class AreaRenderers:
     def open_areas(self) -> tuple[int, ...]:
         """Numbers of the open areas, rising."""
         return self._open
+
+    @property
+    def fits_as_a_whole(self) -> bool:
+        """Whether all areas may be open at once."""
+        return self._fit(range(len(self.world.index.areas)))
 
     def need(self, areas: Iterable[int]) -> bool:
         """Opens areas, and closes others where memory is short.

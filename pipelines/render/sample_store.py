@@ -44,7 +44,7 @@ class SampleStore(Generic[Samples]):
 
     def __init__(self, views: ViewArrays, take: Callable[[BoolArray, FloatArray], Samples]) -> None:
         self._views, self._take = views, take
-        self._most = max(MOST_SAMPLES, len(views.inverse_depth) // DEPTHS_A_SAMPLE)
+        self._most = max(MOST_SAMPLES, int(views.depth_size.prod(axis=1).sum()) // DEPTHS_A_SAMPLE)
         self._kept: dict[tuple[float, float], _Kept[Samples]] = {}
 
     def __call__(self, is_source: BoolArray, focal: float, spacing: float) -> Samples:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from pipelines.lightfield.open_world import OpenWorld
 from pipelines.lightfield.scene import PlaneEstimate, Scene
 from pipelines.localize.description import notes_of
 from pipelines.localize.run import PNP_ESTIMATE, Run
@@ -45,14 +46,17 @@ FRAME_CAPTION = (
 
 
 def page_of(
-    content: Content, scene: Scene, scene_origin: Mapping[str, Any], figures: Mapping[str, bytes]
+    content: Content,
+    scene: Scene | OpenWorld,
+    scene_origin: Mapping[str, Any],
+    figures: Mapping[str, bytes],
 ) -> Page:
     """The page of a run.
 
     Args:
         content: what the figures show.
-        scene: the scene model.
-        scene_origin: provenance of the scene model.
+        scene: the scene model, or the world.
+        scene_origin: its provenance.
         figures: name -> PNG (GIF for ``animation``), in the order in which the page shows them.
     """
     run, tracks = content.run, content.tracks
@@ -62,13 +66,19 @@ def page_of(
         verdict=docking_verdict(run) if is_docking else verdict_of(run, tracks.estimate_errors),
         subtitle=(
             f"{len(run.frames)} frames, estimate \u201c{tracks.estimate_name}\u201d, "
-            f"seed {run.seed}, scene of {len(scene)} views ({run.scene_path})"
+            f"seed {run.seed}, {_size_of(scene)} ({run.scene_path})"
         ),
         tables=[_error_table(tracks), _course_table(run)],
         notes=[*(f"Note: {note}." for note in notes_of(run)), *_notes(tracks)],
         pictures=[_picture(name, png, content) for name, png in figures.items()],
         details=_details(run, scene, scene_origin),
     )
+
+
+def _size_of(scene: Scene | OpenWorld) -> str:
+    if isinstance(scene, Scene):
+        return f"scene of {len(scene)} views"
+    return f"world of {len(scene.area_map)} areas, {len(scene.index.image_names)} photos"
 
 
 def _error_table(tracks: Tracks) -> Table:
@@ -167,16 +177,17 @@ def _errors_caption(tracks: Tracks) -> str:
     )
 
 
-def _details(run: Run, scene: Scene, scene_origin: Mapping[str, Any]) -> list[Table]:
+def _details(run: Run, scene: Scene | OpenWorld, scene_origin: Mapping[str, Any]) -> list[Table]:
     camera = run.camera
+    first = scene if isinstance(scene, Scene) else scene.outlines[0]
     origin = [
         ("data set", run.dataset_name),
         ("camera", f"{camera.model}, {camera.width}\u00d7{camera.height} pixels"),
         ("camera parameters", ", ".join(f"{value:.6g}" for value in camera.params)),
         ("scene", run.scene_path),
         ("scene identifier", scene.identifier),
-        *_surface_rows(scene.surface),
-        ("scale from", scene.scale_source),
+        *_surface_rows(first.surface),
+        ("scale from", first.scale_source),
         *flattened(run.provenance),
     ]
     settings = [("seed", str(run.seed)), *flattened(run.settings)]

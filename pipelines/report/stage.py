@@ -1,19 +1,23 @@
 """The stage ``report``: from a run and its scene to a folder with a page and figures."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from pipelines.artifacts.arguments import PathLike, check_fields, checked_instance, checked_path
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.atomic import atomic_folder, check_output
 from pipelines.artifacts.errors import InputError, LfnavError, OptionError
 from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.lightfield.obstacle_points import obstacle_points
+from pipelines.lightfield.open_world import OpenWorld
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import scene_provenance
 from pipelines.localize.run import Run, load_run
 from pipelines.localize.scene_of_run import load_scene_of_run
-from pipelines.render.choices import Quality
+from pipelines.render.area_renderers import AreaRenderers
+from pipelines.render.choices import Blending, Channels, Quality
 from pipelines.render.renderer import Renderer
 from pipelines.render.surface import quality_named
 from pipelines.report.animation import animation
@@ -31,6 +35,8 @@ from pipelines.report.views import MAX_PICTURE_SIDE, ViewMaker
 PAGE_NAME = "report.html"
 FIGURE_FOLDER = "figures"
 ANIMATION_NAME = "animation.gif"
+# What areas that are open at once may take for the pictures of a world.
+AT_ONCE_MEGABYTES = 4000.0
 
 
 @dataclass(frozen=True)
@@ -132,7 +138,11 @@ def report(
     moving = _animation(content, progress)
     if moving is not None:
         pngs["animation"] = moving
-    page = page_of(content, scene, scene_provenance(scene_path), pngs)
+    if isinstance(scene, Scene):
+        made = scene_provenance(scene_path)
+    else:
+        made = dict(scene.index.provenance)
+    page = page_of(content, scene, made, pngs)
     with atomic_folder(output, overwrite, PAGE_NAME) as folder:
         (folder / PAGE_NAME).write_text(html_of(page), encoding="utf-8")
         (folder / FIGURE_FOLDER).mkdir()
@@ -166,20 +176,13 @@ def chosen_frames(wanted: tuple[int, ...] | None, count: int) -> tuple[int, ...]
 def _content(
     run: Run,
     run_path: Path,
-    scene: Scene,
+    scene: Scene | OpenWorld,
     indices: tuple[int, ...],
     estimate: str | None,
     progress: Progress,
 ) -> Content:
     tracks = tracks_of(run, estimate)
-    maker = ViewMaker(
-        run,
-        Renderer.of_scene(
-            scene,
-            MAX_PICTURE_SIDE,
-            quality=quality_named(None, bool(scene.depth), Quality.FINE),
-        ),
-    )
+    maker = ViewMaker(run, _renderer_at(scene))
     views = {}
     for index in progress(indices, "views", len(indices)):
         odometry = None if tracks.odometry_states is None else tracks.odometry_states[index]
@@ -189,11 +192,29 @@ def _content(
             raise InputError(run_path, f"frame {index} cannot be shown ({error})") from error
     clouds = [run.frames[index].particles for index in indices]
     around = surroundings_of(scene, tracks, clouds)
-    if run.docking is not None:
+    if run.docking is not None and isinstance(scene, Scene):
         # A docking robot avoids obstacles: show them.
         top = float(run.base_from_camera[2, 3])
         around = replace(around, obstacles=obstacle_points(scene, top))
     return Content(run, tracks, around, views)
+
+
+def _renderer_at(scene: Scene | OpenWorld) -> Callable[[FloatArray], Renderer]:
+    """What says which renderer shows what is seen from a pose ``(4, 4)``."""
+    if isinstance(scene, Scene):
+        quality = quality_named(None, bool(scene.depth), Quality.FINE)
+        renderer = Renderer.of_scene(scene, MAX_PICTURE_SIDE, quality=quality)
+        return lambda _: renderer
+    quality = quality_named(None, scene.has_depth, Quality.FINE)
+    areas = AreaRenderers(
+        replace(scene, memory=AT_ONCE_MEGABYTES),
+        MAX_PICTURE_SIDE,
+        (Channels.COLOUR,),
+        Blending.UNSTRUCTURED,
+        quality,
+        None,
+    )
+    return lambda pose: areas.at(pose[:2, 3], Channels.COLOUR)
 
 
 def _animation(content: Content, progress: Progress) -> bytes | None:

@@ -10,6 +10,8 @@ from pipelines.artifacts.arrays import FloatArray
 from pipelines.geometry.camera import Camera
 from pipelines.geometry.plane import Plane
 from pipelines.geometry.pose import camera_heading_of
+from pipelines.lightfield.area_map import AreaMap
+from pipelines.lightfield.open_world import OpenWorld
 from pipelines.lightfield.scene import Scene
 from pipelines.report.tracks import Tracks
 
@@ -54,28 +56,30 @@ class Surroundings:
         recordings: ``(V, 3)`` recording positions x, y (metres) and headings (radians).
         extent: ``(4,)`` x_min, x_max, y_min, y_max of the top view, metres.
         obstacles: ``(M, 2)`` obstacle points on the floor, metres; None: not shown.
+        areas: of the world, whose recordings are told apart by colour; None: a scene.
     """
 
     surface: Surface | None
     recordings: FloatArray
     extent: FloatArray
     obstacles: FloatArray | None = None
+    areas: AreaMap | None = None
 
 
 def surroundings_of(
-    scene: Scene, tracks: Tracks, particles: Sequence[FloatArray] = ()
+    scene: Scene | OpenWorld, tracks: Tracks, particles: Sequence[FloatArray] = ()
 ) -> Surroundings:
     """The fixed part of the top views of a run in ``scene``.
 
     Args:
-        scene: the scene model.
+        scene: the scene model, or the world.
         tracks: the run's paths.
         particles: ``(M, D)`` particles of each frame shown; all but the outermost are in view.
     """
     positions = scene.world_from_camera[:, :2, 3]
     headings = camera_heading_of(scene.world_from_camera)
     surface = None
-    if scene.surface is not None:
+    if isinstance(scene, Scene) and scene.surface is not None:
         cameras = [scene.camera_of(index) for index in range(len(scene))]
         surface = surface_from_above(scene.plane, scene.world_from_camera, cameras)
     bounds = np.asarray(scene.bounds, dtype=np.float64)
@@ -99,6 +103,7 @@ def surroundings_of(
         surface=surface,
         recordings=np.column_stack([positions, headings]),
         extent=_grown(_box(np.concatenate(known)), 0.04),
+        areas=scene.area_map if isinstance(scene, OpenWorld) else None,
     )
 
 

@@ -14,6 +14,7 @@ from pipelines.artifacts.arrays import FloatArray
 from pipelines.localize.run import Run
 from pipelines.localize.state_space import state_errors
 from pipelines.report import style
+from pipelines.report.area_view import draw_belief_over_time
 from pipelines.report.tracks import Tracks
 
 FIGURE_WIDTH = 13.0
@@ -46,17 +47,20 @@ def time_figure(run: Run, tracks: Tracks, indices: Sequence[int]) -> Figure:
         tracks: the run's paths.
         indices: numbers of the frames that other figures show; marked by thin vertical lines.
     """
-    figure = Figure(figsize=(FIGURE_WIDTH, 5 * PANEL_HEIGHT + 1.3))
+    count = 5 if run.areas is None else 6
+    figure = Figure(figsize=(FIGURE_WIDTH, count * PANEL_HEIGHT + 1.3))
     grid = figure.add_gridspec(
-        5, 1, left=0.075, right=0.80, top=1 - 0.62 / figure.get_figheight(),
+        count, 1, left=0.075, right=0.80, top=1 - 0.62 / figure.get_figheight(),
         bottom=0.6 / figure.get_figheight(), hspace=0.16,
     )  # fmt: skip
-    panels = [figure.add_subplot(grid[row, 0]) for row in range(5)]
+    panels = [figure.add_subplot(grid[row, 0]) for row in range(count)]
     _draw_deviation(panels[0], run, tracks, heading=False)
     _draw_deviation(panels[1], run, tracks, heading=True)
     _draw_particles(panels[2], run)
     _draw_confidence(panels[3], run)
     _draw_seconds(panels[4], run)
+    if run.areas is not None:
+        draw_belief_over_time(panels[5], run)
     for panel in panels:
         _finish_panel(panel, run, indices, bottom=panel is panels[-1])
     _add_time_axis(panels[0], run)

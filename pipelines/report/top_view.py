@@ -15,6 +15,7 @@ from matplotlib.transforms import Affine2D
 from pipelines.artifacts.arrays import BoolArray, FloatArray
 from pipelines.localize.run import FrameRecord, Run
 from pipelines.report import style
+from pipelines.report.area_view import draw_belief, draw_places
 from pipelines.report.surroundings import Surface, Surroundings
 from pipelines.report.tracks import Tracks
 
@@ -105,6 +106,8 @@ def draw_top_view(
     record = run.frames[index]
     size = 1.35 if detail else 1.0
     draw_place(axes, surroundings, limits, size)
+    if run.areas is not None and record.area_belief is not None:
+        draw_belief(axes, run.areas, record.area_belief)
     _draw_particles(axes, record, size)
     _draw_paths(axes, run, tracks, index, size)
     # In a close-up the ellipse shows the main cluster, and a diamond would hide its particles.
@@ -134,7 +137,10 @@ def draw_place(
             *surroundings.obstacles.T, ".", color=style.FAINT, markersize=1.6 * size, zorder=1.2,
             label="obstacle points",
         )  # fmt: skip
-    _draw_recordings(axes, surroundings.recordings, limits, size)
+    if surroundings.areas is None:
+        _draw_recordings(axes, surroundings.recordings, limits, size)
+    else:
+        draw_places(axes, surroundings.areas)
 
 
 def _draw_axes(axes: Axes, limits: FloatArray) -> None:

@@ -1,5 +1,6 @@
 """The pictures beside the top view: the camera image, and rendered views at poses."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -56,12 +57,12 @@ class ViewMaker:
 
     Args:
         run: the run, which holds the camera images, the camera and its mount.
-        renderer: renders the scene in which the run was localized.
+        renderer_at: the renderer of what is seen from a pose ``(4, 4)``.
     """
 
-    def __init__(self, run: Run, renderer: Renderer) -> None:
+    def __init__(self, run: Run, renderer_at: Callable[[FloatArray], Renderer]) -> None:
         self._run = run
-        self._renderer = renderer
+        self._renderer_at = renderer_at
         self._undistort = Undistorter(run.camera)
         self._intrinsics = picture_intrinsics(self._undistort.intrinsics)
 
@@ -86,7 +87,8 @@ class ViewMaker:
         if state is None or not np.all(np.isfinite(state)):
             return None
         world_from_camera = self._run.space.poses(state) @ self._run.base_from_camera
-        return model_view(real, self._renderer.render(world_from_camera, self._intrinsics))
+        renderer = self._renderer_at(world_from_camera)
+        return model_view(real, renderer.render(world_from_camera, self._intrinsics))
 
 
 def picture_intrinsics(intrinsics: Intrinsics) -> Intrinsics:

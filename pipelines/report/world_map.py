@@ -14,12 +14,11 @@ from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.atomic import check_output, write_bytes
 from pipelines.lightfield.world_file import World, load_world
 from pipelines.report import style
+from pipelines.report.area_view import COLOURS
 from pipelines.report.figures import png_of
 
 WIDTH, SMALLEST_HEIGHT, LARGEST_HEIGHT = 12.0, 3.0, 12.0
 MARGIN = 0.6
-# Okabe and Ito; areas are told apart by their names too, so that colours may come again.
-COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#8C6D1F", "#5B3A8C")
 MARKERS = ("o", "s", "^", "D", "v")
 NAME_WIDTH = 18
 

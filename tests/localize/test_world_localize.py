@@ -18,6 +18,7 @@ from pipelines.localize.stage import LocalizeRequest, localize
 from pipelines.render import area_renderers
 from pipelines.render.area_renderers import AreaRenderers
 from pipelines.render.choices import Blending, Channels, Quality
+from pipelines.report.stage import ReportSettings, report
 from tests.chain_samples import lfnav
 from tests.world_drive_samples import drive, through_the_door, world_of_rooms
 from tests.world_samples import TWO_ROOMS
@@ -197,3 +198,17 @@ def test_old_runs_have_no_areas(place: Path, tmp_path: Path) -> None:
     assert all(frame.area_belief is None for frame in run.frames)
     assert evaluate_run(run).areas is None
     assert area_search.MOST_AREAS >= area_search.LEAST_AREAS
+
+
+def test_a_report_shows_the_areas(place: Path, run: Run, tmp_path: Path) -> None:
+    assert run.areas is not None
+    written = report(place / "run.h5", tmp_path / "report", ReportSettings(frames=(0,)))
+    assert "figures/overview.png" in written.files
+    page = (tmp_path / "report/report.html").read_text(encoding="utf-8")
+    assert "world of 2 areas, 224 photos" in page
+
+
+def test_on_a_border_both_areas_are_right(run: Run) -> None:
+    assert run.areas is not None
+    there = run.areas.borders(np.array([[-2.0, 0.0], [0.0, 0.0], [2.0, 0.0]]), 0.1)
+    assert there.tolist() == [[True, False], [True, True], [False, True]]

@@ -40,7 +40,8 @@ from tests.report_samples import CAMERA, MOUNT, TRUTH, WALL, facing_wall, wall_r
 def content_of(run: Run, indices: tuple[int, ...] = (0, 3, 5)) -> Content:
     scene = wall_scene()
     tracks = tracks_of(run, None)
-    maker = ViewMaker(run, Renderer.of_scene(scene))
+    renderer = Renderer.of_scene(scene)
+    maker = ViewMaker(run, lambda _: renderer)
     views = {
         index: maker.views(
             index,
