@@ -140,8 +140,9 @@ def features_of(scene: Scene, views: Sequence[int]) -> list[ImageArray]:
 def unit_vectors(descriptors: ImageArray) -> Float32Array:
     """Descriptors ``(F, 128)`` as ``describe`` made them, as unit vectors."""
     values = descriptors.astype(np.float32)
-    lengths = np.linalg.norm(values, axis=1, keepdims=True)
-    return np.asarray(values / np.maximum(lengths, np.float32(1e-9)), dtype=np.float32)
+    lengths = np.sqrt(np.einsum("ij,ij->i", values, values))
+    values /= np.maximum(lengths, np.float32(1e-9))[:, None]
+    return values
 
 
 def build_retrieval_index(
