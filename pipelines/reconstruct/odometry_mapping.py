@@ -1,7 +1,7 @@
 """Structure from motion that starts from odometry, for hundreds of photos; a part of the worker.
 
-A model that is grown image by image takes hours for a thousand photos, and things that look alike
-in two rooms fold it. Odometry knows which room it was. Its drift is taken out by the matches
+A model that is grown image by image is adjusted again and again, and things that look alike in two
+rooms can fold it. Odometry knows which room it was. Its drift is taken out by the matches
 (``pose_graph``), points are triangulated from these poses, and both are adjusted together (bundle
 adjustment), a few times with ever stricter bounds on what fits. All photos stay in one frame.
 """
