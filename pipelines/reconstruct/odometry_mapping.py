@@ -1,7 +1,7 @@
 """Structure from motion that starts from odometry, for hundreds of photos; a part of the worker.
 
-A model that is grown image by image takes hours for a thousand photos, and things that look alike
-in two rooms fold it. Odometry knows which room it was. Its drift is taken out by the matches
+A model that is grown image by image is adjusted again and again, and things that look alike in two
+rooms can fold it. Odometry knows which room it was. Its drift is taken out by the matches
 (``pose_graph``), points are triangulated from these poses, and both are adjusted together (bundle
 adjustment), a few times with ever stricter bounds on what fits. All photos stay in one frame.
 """
@@ -54,6 +54,8 @@ class Round:
 
 
 ROUNDS = (Round(4.0, 16.0, 4.0), Round(2.0, 6.0, 2.0), Round(2.0, 4.0, 1.0), Round(2.0, 4.0, 1.0))
+# Metres: how well the drift-corrected poses, from which the rounds start, tell a place.
+PLACE_SIGMA, HEIGHT_SIGMA = 0.2, 0.03
 ITERATIONS, TOLERANCE = 40, 1e-5
 MIN_ANGLE = 1.5  # degrees between two rays to a point
 # Photos that see fewer points than this are held where odometry puts them beside the others.
@@ -199,7 +201,7 @@ class OdometryMapping:
             finished = folder / f"round-{number}"
             if not finished.is_dir():
                 model = self._triangulated(poses, bounds)
-                held = self._adjusted(model, bounds)
+                held = self._adjusted(model, start, bounds)
                 poses = beside_the_others(self._poses_of(model), start, held)
                 unfinished = folder / "unfinished"
                 shutil.rmtree(unfinished, ignore_errors=True)
@@ -242,8 +244,12 @@ class OdometryMapping:
                 model, self._database, self._images, unused, options=options
             )
 
-    def _adjusted(self, model: Any, bounds: Round) -> list[int]:
-        """Adjusts poses and points of the model; returns the rows of the photos that were held."""
+    def _adjusted(self, model: Any, start: FloatArray, bounds: Round) -> list[int]:
+        """Adjusts poses and points of the model; returns the rows of the photos that were held.
+
+        Parts of a model that few photos join, through a doorway, say, would turn against each
+        other. So the photos' places count too, as uncertain as odometry leaves them.
+        """
         import pycolmap
 
         options = pycolmap.BundleAdjustmentOptions()
@@ -257,15 +263,22 @@ class OdometryMapping:
         options.ceres.solver_options.function_tolerance = TOLERANCE
         config = pycolmap.BundleAdjustmentConfig()
         row_of_name = {name: row for row, name in enumerate(self._names)}
-        held = []
+        held, priors = [], []
         for number in sorted(model.reg_image_ids()):
             image = model.image(number)
             config.add_image(number)
             if image.num_points3D < MIN_POINTS:
                 config.set_constant_rig_from_world_pose(image.frame_id)
                 held.append(row_of_name[image.name])
-        config.fix_gauge(pycolmap.BundleAdjustmentGauge.UNSPECIFIED)
-        pycolmap.create_default_bundle_adjuster(options, config, model).solve()
+            prior = pycolmap.PosePrior()
+            prior.corr_data_id = image.data_id
+            prior.position = start[row_of_name[image.name], :3, 3]
+            prior.position_covariance = np.diag([PLACE_SIGMA, PLACE_SIGMA, HEIGHT_SIGMA]) ** 2
+            prior.coordinate_system = pycolmap.PosePriorCoordinateSystem.CARTESIAN
+            priors.append(prior)
+        pycolmap.create_pose_prior_bundle_adjuster(
+            options, pycolmap.PosePriorBundleAdjustmentOptions(), config, priors, model
+        ).solve()
         return sorted(held)
 
     def _poses_of(self, model: Any) -> FloatArray:

@@ -20,7 +20,7 @@ WORDS, ITERATIONS = 32, 10
 LEARNT_FROM = 40_000
 # The photos most alike to each that are taken.
 ALIKE = 10
-CHUNK = 512
+CHUNK = 128
 
 
 def photo_descriptors(database: Path, names: list[str], seed: int) -> Float32Array:
