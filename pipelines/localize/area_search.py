@@ -6,16 +6,21 @@ import numpy as np
 
 from pipelines.artifacts.arrays import BoolArray, FloatArray, IntArray
 from pipelines.geometry.camera import Camera
+from pipelines.geometry.pose import inverse
 from pipelines.localize.area_window import AreaWindow
 from pipelines.localize.belief import Region
 from pipelines.localize.observation import Observations
 from pipelines.localize.prediction import Prediction
 from pipelines.localize.retrieval import RetrievalIndex, joined, spread_states, states_around_views
-from pipelines.localize.search import GlobalSearch, ViewDatabase
+from pipelines.localize.search import THOROUGH, GlobalSearch, SearchEffort, ViewDatabase
 from pipelines.localize.settings import LocalizerSettings
+from pipelines.localize.state_space import sigmas_of
 
 # Areas are searched that together hold this share of the probability, and so many of them.
 SEARCHED_SHARE, LEAST_AREAS, MOST_AREAS = 0.99, 2, 6
+# States around so many photos that show most of an image, so many around each; metres and radians.
+ALIKE, COPIES = 20, 20
+AROUND_POSITION, AROUND_ANGLE = 0.3, 0.2
 # Views of a search are shared out to so many areas, whether or not so many are searched.
 AREAS_A_SEARCH = 6
 # An area is open while it holds this share of the predicted belief, or while the body is so near to
@@ -49,6 +54,7 @@ class AreaSearch(GlobalSearch):
         self._camera = camera
         self._used = None if mask is None else mask.astype(np.uint8)
         self._ranked: tuple[int, tuple[int, ...]] = (-1, ())
+        self._alike: IntArray = np.empty(0, dtype=np.int64)
         self._held: tuple[int, ...] = ()
         self._views_of_area: dict[int, RetrievalIndex] = {}
 
@@ -90,6 +96,31 @@ class AreaSearch(GlobalSearch):
             indices.append(self._views_of_area[area])
         return ViewDatabase(joined(indices), 1.0)
 
+    def retrieved(
+        self, database: ViewDatabase, observations: Observations, effort: SearchEffort
+    ) -> tuple[FloatArray, FloatArray]:
+        """States ``(K, D)`` whose views look most like an image, and its evidence ``(K,)``.
+
+        In a thorough search also states around the photos of the world that show most of what the
+        image shows.
+
+        Args:
+            database: the views.
+            observations: the image.
+            effort: how many states.
+        """
+        states, evidence = super().retrieved(database, observations, effort)
+        if effort is not THOROUGH or len(self._alike) == 0:
+            return states, evidence
+        space, model = self._model.space, self._model
+        poses = self._views[self._alike] @ inverse(model.body_from_camera)
+        around = np.repeat(space.states(poses), COPIES, axis=0)
+        sigma = sigmas_of(space, AROUND_POSITION, AROUND_ANGLE)
+        around = space.moved(around, sigma * self._rng.standard_normal(around.shape))
+        fine = observations.by_width[self._settings.fine_width]
+        found = model.evidence(around, fine, model.likelihood.pixel_subsampling)
+        return np.concatenate([states, around]), np.concatenate([evidence, found])
+
     def _open(self, areas: Iterable[int]) -> None:
         self._window.need(areas)
         is_open = set(self._window.open_areas)
@@ -108,6 +139,7 @@ class AreaSearch(GlobalSearch):
             ranked = np.argsort(-recognised.areas, kind="stable")
             likely = ranked[: min(max(count, LEAST_AREAS), MOST_AREAS)]
             self._ranked = (number, tuple(likely.tolist()))
+            self._alike = recognised.photos[:ALIKE]
         return self._ranked[1]
 
     def _area_states(self, area: int) -> FloatArray:

@@ -7,8 +7,8 @@ places are: first the one that has not been needed for longest.
 """
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 
 from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.artifacts.errors import OptionError
@@ -25,6 +25,8 @@ from pipelines.render.renderer import Renderer
 BESIDE_VIEWS = 175.0
 # Areas with a photo so near to a place are rendered there; metres.
 NEAR = 1.0
+# What areas that are open at once may take where pictures are made for people; megabytes.
+AT_ONCE_MEGABYTES = 4000.0
 
 
 @dataclass(frozen=True)
@@ -182,6 +184,31 @@ class AreaRenderers:
                 self._threads,
                 typical,
             )
+
+
+def colour_renderers(
+    world: OpenWorld, side: int | None, blending: Blending, quality: Quality
+) -> Callable[[FloatArray], Renderer]:
+    """What says which renderer shows, in colours, what is seen from a pose ``(4, 4)``.
+
+    Args:
+        world: the areas; they are opened as poses need them.
+        side: photos are area-averaged to so many pixels at most; None: as recorded.
+        blending: the rule that chooses and weights the views.
+        quality: how finely the surface follows the views' depth maps.
+
+    Raises:
+        OptionError: an area too large to be opened, or a surface that is not the same in all.
+    """
+    areas = AreaRenderers(
+        replace(world, memory=AT_ONCE_MEGABYTES),
+        max(world.largest_camera) if side is None else side,
+        (Channels.COLOUR,),
+        blending,
+        quality,
+        None,
+    )
+    return lambda pose: areas.at(pose[:2, 3], Channels.COLOUR)
 
 
 def _places_within_budget(world: OpenWorld, side: int, channels: int) -> int:

@@ -1,6 +1,6 @@
 """The stage ``render``: virtual views of a scene model as images or a video."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,16 +11,19 @@ import numpy as np
 from pipelines.artifacts.arrays import BoolArray, FloatArray, ImageArray
 from pipelines.artifacts.atomic import atomic_file, atomic_folder, check_output, write_bytes
 from pipelines.artifacts.errors import OptionError, StageError
+from pipelines.artifacts.kinds import is_world
 from pipelines.artifacts.stages import Progress
 from pipelines.dataset.images import encode_png
 from pipelines.geometry.camera import Intrinsics, Undistorter
 from pipelines.geometry.pose import base_from_camera_mount, world_from_base_planar
 from pipelines.geometry.trajectory import read_tum
+from pipelines.lightfield.open_world import OpenWorld, open_world
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_scene
+from pipelines.render.area_renderers import AT_ONCE_MEGABYTES, colour_renderers
 from pipelines.render.choices import Blending, Quality
 from pipelines.render.devices import Device
-from pipelines.render.renderer import Rendering
+from pipelines.render.renderer import Renderer, Rendering
 from pipelines.render.renderer_choice import renderer_of_scene
 from pipelines.render.surface import quality_named
 
@@ -101,7 +104,7 @@ def render(
     """Renders virtual views and writes them with masks of their covered pixels.
 
     Args:
-        scene_path: scene model.
+        scene_path: scene model, or the folder of a world of several.
         output: ``NAME.png`` for one view (with ``NAME_mask.png``), ``NAME.mp4`` for a video (with
             ``NAME_mask.mp4``), else a folder of ``000000.png``, ``000000_mask.png``, ...
             Masks are white where any photo shows the pixel.
@@ -116,17 +119,16 @@ def render(
     mask_path = output.with_name(f"{output.stem}_mask{output.suffix}")
     for path in (output, mask_path) if output.suffix in (".png", VIDEO_SUFFIX) else (output,):
         check_output(path, overwrite, None if path.suffix else LISTING)
-    scene = load_scene(scene_path)
+    world = open_world(scene_path, AT_ONCE_MEGABYTES) if is_world(scene_path) else None
+    scene = load_scene(scene_path) if world is None else world.outlines[0]
     poses = _camera_poses(scene, settings)
     if output.suffix == ".png" and len(poses) != 1:
         raise OptionError(f"{output}: {len(poses)} views do not fit in one PNG; name a folder")
     intrinsics = virtual_intrinsics(scene, settings.width)
     quality = quality_named(settings.quality, bool(scene.depth), Quality.FINE)
-    renderer = renderer_of_scene(
-        scene, blending=settings.blending, quality=quality, device=settings.device
-    )
+    renderer_at = _renderer_at(scene if world is None else world, settings, quality)
     renderings = (
-        renderer.render(pose, intrinsics) for pose in progress(poses, "render", len(poses))
+        renderer_at(pose).render(pose, intrinsics) for pose in progress(poses, "render", len(poses))
     )
     if output.suffix == ".png":
         rendering = next(iter(renderings))
@@ -138,6 +140,20 @@ def render(
     else:
         coverage = _write_folder(output, renderings, overwrite)
     return RenderSummary(output, intrinsics.width, intrinsics.height, tuple(coverage))
+
+
+def _renderer_at(
+    scene: Scene | OpenWorld, settings: RenderSettings, quality: Quality
+) -> Callable[[FloatArray], Renderer]:
+    """What says which renderer shows what is seen from a pose ``(4, 4)``."""
+    if isinstance(scene, OpenWorld):
+        if settings.device is Device.GPU:
+            raise OptionError("a world of areas is rendered on the CPU, not on a GPU")
+        return colour_renderers(scene, None, settings.blending, quality)
+    renderer = renderer_of_scene(
+        scene, blending=settings.blending, quality=quality, device=settings.device
+    )
+    return lambda _: renderer
 
 
 def virtual_intrinsics(scene: Scene, width: int | None) -> Intrinsics:

@@ -16,8 +16,8 @@ from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import scene_provenance
 from pipelines.localize.run import Run, load_run
 from pipelines.localize.scene_of_run import load_scene_of_run
-from pipelines.render.area_renderers import AreaRenderers
-from pipelines.render.choices import Blending, Channels, Quality
+from pipelines.render.area_renderers import colour_renderers
+from pipelines.render.choices import Blending, Quality
 from pipelines.render.renderer import Renderer
 from pipelines.render.surface import quality_named
 from pipelines.report.animation import animation
@@ -35,8 +35,6 @@ from pipelines.report.views import MAX_PICTURE_SIDE, ViewMaker
 PAGE_NAME = "report.html"
 FIGURE_FOLDER = "figures"
 ANIMATION_NAME = "animation.gif"
-# What areas that are open at once may take for the pictures of a world.
-AT_ONCE_MEGABYTES = 4000.0
 
 
 @dataclass(frozen=True)
@@ -206,15 +204,7 @@ def _renderer_at(scene: Scene | OpenWorld) -> Callable[[FloatArray], Renderer]:
         renderer = Renderer.of_scene(scene, MAX_PICTURE_SIDE, quality=quality)
         return lambda _: renderer
     quality = quality_named(None, scene.has_depth, Quality.FINE)
-    areas = AreaRenderers(
-        replace(scene, memory=AT_ONCE_MEGABYTES),
-        MAX_PICTURE_SIDE,
-        (Channels.COLOUR,),
-        Blending.UNSTRUCTURED,
-        quality,
-        None,
-    )
-    return lambda pose: areas.at(pose[:2, 3], Channels.COLOUR)
+    return colour_renderers(scene, MAX_PICTURE_SIDE, Blending.UNSTRUCTURED, quality)
 
 
 def _animation(content: Content, progress: Progress) -> bytes | None:

@@ -411,7 +411,6 @@ def test_info_draws_the_areas(place: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "command",
     [
-        ("render", "{world}", "-o", "{output}", "--pose", "0,0,0"),
         ("evaluate", "{world}", "--leave-one-out"),
         ("dock", "{world}", "--robot", "model", "--goal", "0,0,0", "-o", "{output}"),
     ],

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.dataset.images import decode_image
 from pipelines.lightfield.open_world import open_world
 from pipelines.localize import area_search
 from pipelines.localize.evaluation import evaluate_run
@@ -20,7 +21,8 @@ from pipelines.render.area_renderers import AreaRenderers
 from pipelines.render.choices import Blending, Channels, Quality
 from pipelines.report.stage import ReportSettings, report
 from tests.chain_samples import lfnav
-from tests.world_drive_samples import drive, through_the_door, world_of_rooms
+from tests.lightfield_samples import looking
+from tests.world_drive_samples import drive, seen, through_the_door, world_of_rooms
 from tests.world_samples import TWO_ROOMS
 
 SETTINGS = LocalizerSettings(start_particles=1500)
@@ -212,3 +214,14 @@ def test_on_a_border_both_areas_are_right(run: Run) -> None:
     assert run.areas is not None
     there = run.areas.borders(np.array([[-2.0, 0.0], [0.0, 0.0], [2.0, 0.0]]), 0.1)
     assert there.tolist() == [[True, False], [True, True], [False, True]]
+
+
+def test_views_of_a_world_are_rendered(place: Path, tmp_path: Path) -> None:
+    options = ("-o", tmp_path / "view.png", "--pose", "1.5,0.2,20")
+    assert lfnav("render", place / "world", *options).code == 0
+    shown = decode_image((tmp_path / "view.png").read_bytes(), "view.png")
+    camera = np.array(
+        looking([1.5, 0.2, 1.0], [1.5 + np.cos(np.radians(20)), 0.2 + np.sin(np.radians(20)), 1.0])
+    )
+    error = np.abs(shown.astype(np.float64) - seen(camera)[0])
+    assert np.median(error) < 10.0
