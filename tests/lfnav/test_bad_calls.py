@@ -287,6 +287,7 @@ def calls_of_scenes(folder: Path) -> dict[str, Call]:
             lfnav.model,
             {"reconstruction": folder / "none", "output": "scene.h5", "settings": None},
         ),
+        "open_world": Call(lfnav.open_world, {"path": folder / "none", "memory": 100.0}),
         "build_scene": Call(
             lfnav.build_scene, {"source": source, "settings": lfnav.ModelSettings()}
         ),
@@ -377,6 +378,7 @@ SCENES = [
     "localize",
     "reconstruct",
     "model",
+    "open_world",
     "build_scene",
     "report",
     "dock",
@@ -401,7 +403,7 @@ def test_the_good_arguments_are_good(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     # These have to fail later than at their arguments: there is nothing to work on.
-    fails = {"load_reconstruction", "model", "report", "build_scene"}
+    fails = {"load_reconstruction", "model", "open_world", "report", "build_scene"}
     for name, call in {**VALUES, **scenes}.items():
         if name not in fails:
             call.function(**call.good)
@@ -410,7 +412,14 @@ def test_the_good_arguments_are_good(
 def test_all_public_functions_are_tried() -> None:
     tried = {name.split(".")[0].removesuffix("()") for name in [*VALUES, *SCENES]}
     # What is only handed back, named in annotations, or raised.
-    handed_back = {"DockingResult", "Outcome", "Rendering", "Reconstruction", "RunEvaluation"}
+    handed_back = {
+        "DockingResult",
+        "OpenWorld",
+        "Outcome",
+        "Rendering",
+        "Reconstruction",
+        "RunEvaluation",
+    }
     named = {
         "Blending",
         "Device",
