@@ -31,6 +31,7 @@ from pipelines.render.pixel_evidence import learn_evidence
 from pipelines.render.renderer import Renderer
 from pipelines.render.renderer_choice import renderer_of_scene
 from pipelines.render.surface import quality_named
+from pipelines.render.window_agreement import usual_agreement
 
 # Photos are kept at so many times the width of the finest comparison.
 VIEW_RESOLUTION_FACTOR = 8
@@ -78,6 +79,7 @@ class MeasurementModel:
         self._absolute = absolute
         self._learner = ThreadPoolExecutor(1)
         self._pixels: dict[int, Future[PixelEvidence]] = {}
+        self._agreements: dict[int, float] = {}
         self._least_distance = _usual_distance(self.renderer, colours) / VIEW_RESOLUTION_FACTOR
 
     @classmethod
@@ -317,6 +319,18 @@ class MeasurementModel:
                 self._pixels[width] = self._learner.submit(
                     learn_evidence, self._colours, self.channels, width, self.renderer
                 )
+
+    def usual_agreement(self, width: int) -> float:
+        """How well the map's photos agree with the views of the others; learnt once.
+
+        Args:
+            width: of the images, pixels.
+        """
+        if width not in self._agreements:
+            self._agreements[width] = usual_agreement(
+                self._colours, self.channels, width, self.renderer
+            )
+        return self._agreements[width]
 
     def aligned(
         self,

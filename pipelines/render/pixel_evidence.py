@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from pipelines.artifacts.arrays import Float32Array, FloatArray, IntArray
 from pipelines.artifacts.processes import in_threads
+from pipelines.geometry.camera import Intrinsics
 from pipelines.lightfield.views import Views, area_average
 from pipelines.render.channels import channel_image
 from pipelines.render.choices import Channels
@@ -83,21 +84,15 @@ def learn_evidence(
         renderer: of the photos in these channels.
     """
     count = len(colours)
-    chosen = np.unique(np.linspace(0, count - 1, min(count, MOST_LEFT_OUT)).round().astype(int))
-    poses = _poses(colours)
+    poses = poses_of(colours)
 
     def left_out(index: int) -> _LeftOut:
-        pinhole = colours.intrinsics[index]
-        height = max(1, round(pinhole.height * width / pinhole.width))
-        small = area_average(colours.level(index, 0), width, height)
-        image = channel_image(small, channels)
+        image, pinhole = photo_in_channels(colours, index, channels, width)
         # Evenly over the others: neighbours show nearly the same.
         steps = np.arange(1, ELSEWHERE + 1) * count // (ELSEWHERE + 1)
         others = np.unique((index + steps[steps > 0]) % count)
         shown = np.concatenate([poses[index : index + 1], poses[others]])
-        images, covered = renderer.without_view(index, threads=1).render_many(
-            shown, pinhole.resized(width, height)
-        )
+        images, covered = renderer.without_view(index, threads=1).render_many(shown, pinhole)
         differences = sum_of_channels(np.abs(images - image))
         bins = np.minimum(differences / EVIDENCE_BIN, EVIDENCE_BINS - 1).astype(np.uint8)
         bins[~covered] = EVIDENCE_BINS
@@ -105,11 +100,29 @@ def learn_evidence(
         return _LeftOut(pixel_strength(image).reshape(-1), bins[:1], bins[1:])
 
     # A photo a thread: their statistics are work for one processor, too.
-    photos = in_threads(left_out, chosen.tolist() if count > 1 else [], renderer.threads)
+    photos = in_threads(left_out, left_out_photos(count), renderer.threads)
     return _pixel_evidence(list(photos))
 
 
-def _poses(views: Views) -> FloatArray:
+def left_out_photos(count: int) -> list[int]:
+    """Which of so many photos are left out, evenly over all; none where there are no others."""
+    if count < 2:
+        return []
+    chosen = np.linspace(0, count - 1, min(count, MOST_LEFT_OUT)).round().astype(int)
+    return [int(index) for index in np.unique(chosen)]
+
+
+def photo_in_channels(
+    colours: Views, index: int, channels: Channels, width: int
+) -> tuple[Float32Array, Intrinsics]:
+    """A photo ``(H, width, 3)`` as images are compared with it, and its intrinsics."""
+    pinhole = colours.intrinsics[index]
+    height = max(1, round(pinhole.height * width / pinhole.width))
+    small = area_average(colours.level(index, 0), width, height)
+    return channel_image(small, channels), pinhole.resized(width, height)
+
+
+def poses_of(views: Views) -> FloatArray:
     """``(N, 4, 4)`` world_from_camera of the photos."""
     poses = np.tile(np.eye(4), (len(views), 1, 1))
     matrices = np.stack([pinhole.matrix() for pinhole in views.intrinsics])
