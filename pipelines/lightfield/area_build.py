@@ -185,8 +185,11 @@ def build_areas(
 def _built_by(pool: Executor, tasks: Sequence[AreaTask], progress: Progress) -> list[BuiltArea]:
     """What the processes of a pool or a cluster make of the tasks, in their order."""
     built: dict[int, BuiltArea] = {}
-    waiting = {pool.submit(build_area, task): number for number, task in enumerate(tasks)}
+    waiting: dict[Future[BuiltArea], int] = {}
     try:
+        # A process may be lost before all of them have their first task.
+        for number, task in enumerate(tasks):
+            waiting[pool.submit(build_area, task)] = number
         for done in progress(as_completed(waiting), "areas", len(tasks)):
             built[waiting[done]] = done.result()
     except (LfnavError, KeyboardInterrupt):

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipelines.artifacts.arrays import Float32Array, FloatArray, ImageArray
+from pipelines.artifacts.arrays import Float32Array, FloatArray, ImageArray, IntArray
 from pipelines.artifacts.atomic import write_bytes
 from pipelines.artifacts.errors import InputError
 from pipelines.artifacts.processes import in_threads, processor_count
@@ -75,6 +75,33 @@ def depth_from_photos(
         StageError: fewer than two photos.
     """
     poses = source.world_from_camera
+    neighbours = choose_neighbours(
+        poses, intrinsics, stand_in, source.points, source.observations, settings.neighbours
+    )
+    # Handed on and not kept: memory holds the maps of one round and those of the next.
+    refined = refine_depth_maps(
+        _swept(source, photos, intrinsics, stand_in, neighbours, settings, finished, progress),
+        poses,
+        neighbours,
+        settings,
+        processor_count(),
+        progress,
+    )
+    return tuple(as_stored(depth.inverse_depth, depth.confident) for depth in refined)
+
+
+def _swept(
+    source: Reconstruction,
+    photos: Sequence[ImageArray],
+    intrinsics: Sequence[Intrinsics],
+    stand_in: StandIn,
+    neighbours: Sequence[IntArray],
+    settings: DepthSettings,
+    finished: Path | None,
+    progress: Progress,
+) -> PackedDepthMaps:
+    """The depth maps of all views, each from it and its neighbours alone."""
+    poses = source.world_from_camera
     count = len(photos)
 
     def working(view: int) -> tuple[ImageArray, Intrinsics]:
@@ -83,9 +110,6 @@ def depth_from_photos(
     # Small and grey: of hundreds of photos at full size memory would not hold all.
     small = list(progress(in_threads(working, range(count)), "decode photos", count))
     greys, pinholes = [grey for grey, _ in small], [pinhole for _, pinhole in small]
-    neighbours = choose_neighbours(
-        poses, intrinsics, stand_in, source.points, source.observations, settings.neighbours
-    )
     folder = None if finished is None else finished / _key(source, stand_in, settings)
 
     def one(view: int) -> DepthMap:
@@ -106,11 +130,8 @@ def depth_from_photos(
             _store(folder, view, result)
         return result
 
-    workers = processor_count()
-    with ThreadPoolExecutor(workers) as pool:
-        maps = PackedDepthMaps(progress(pool.map(one, range(count)), "depth maps", count))
-    refined = refine_depth_maps(maps, poses, neighbours, settings, workers, progress)
-    return tuple(as_stored(depth.inverse_depth, depth.confident) for depth in refined)
+    with ThreadPoolExecutor(processor_count()) as pool:
+        return PackedDepthMaps(progress(pool.map(one, range(count)), "depth maps", count))
 
 
 def _guessed_depth(
