@@ -54,7 +54,7 @@ def parse_fault(
 
 
 @click.command("dock", cls=SettingsCommand)
-@click.argument("scene", metavar="SCENE.h5", required=False, type=click.Path(path_type=Path))
+@click.argument("scene", metavar="SCENE.h5|WORLD", required=False, type=click.Path(path_type=Path))
 @click.option(
     "--robot",
     metavar="NAME",
@@ -87,6 +87,13 @@ def parse_fault(
     metavar="FILE.png",
     help="8-bit grey PNG of the size of the robot's camera: 0 where its images are not to be used "
     "(the robot's bumper).",
+)
+@click.option(
+    "--memory",
+    type=float,
+    metavar="MB",
+    help="In a world of areas: what localizing and docking may take of memory beyond the program "
+    "itself; areas are opened and closed within it. Default: 1000.",
 )
 @click.option("--seed", type=int, default=0, show_default=True, help="Random seed.")
 @click.option(
@@ -187,6 +194,7 @@ def command(
     config: Path | None,
     print_config: bool,
     mask: Path | None,
+    memory: float | None,
     seed: int,
     is_dry: bool,
     true_start: tuple[float, float, float] | None,
@@ -205,7 +213,9 @@ def command(
     as_json: bool,
     progress: "Progress",
 ) -> int:
-    """Drives a robot to a goal in SCENE.h5 by what its camera sees, and writes the run.
+    """Drives a robot to a goal in SCENE.h5, or in a WORLD of areas, by what its camera sees.
+
+    The run is written, however docking ends.
 
     The robot rotates until it is localized, drives to a staging pose behind the goal, and
     approaches in smaller and smaller steps. Where the surface lies in between, in another room, it
@@ -266,6 +276,7 @@ def command(
         robot_options=options,
         seed=seed,
         mask=mask,
+        memory=memory,
     )
     if output is None or is_dry:
         looked = dry_run(request)

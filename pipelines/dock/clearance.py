@@ -27,13 +27,18 @@ class Clearance:
     Args:
         scene: the light field.
         camera_height: height of the robot's camera above the floor, metres.
+        obstacles: ``(M, 2)`` obstacle points, metres, where the scene is a part of what the robot
+            drives in; None: those that the scene shows.
     """
 
-    def __init__(self, scene: Scene, camera_height: float) -> None:
+    def __init__(
+        self, scene: Scene, camera_height: float, obstacles: FloatArray | None = None
+    ) -> None:
         self._plane = scene.plane_if_any
         self._scene = scene
         self._height = camera_height
-        points = obstacle_points(scene, camera_height + TOP_ABOVE_CAMERA)
+        top = camera_height + TOP_ABOVE_CAMERA
+        points = obstacle_points(scene, top) if obstacles is None else obstacles
         self._obstacles = None if points is None else scipy.spatial.cKDTree(points)
 
     def distance(self, state: FloatArray) -> float:

@@ -11,7 +11,6 @@ import numpy as np
 
 from pipelines.artifacts.arrays import BoolArray, FloatArray, ImageArray
 from pipelines.artifacts.errors import LfnavError, OptionError
-from pipelines.dock.clearance import Clearance
 from pipelines.dock.competing_poses import CompetingPoses
 from pipelines.dock.consistency_gate import (
     ConsistencyGate,
@@ -22,11 +21,12 @@ from pipelines.dock.consistency_gate import (
 )
 from pipelines.dock.covered_view import WAITING_IMAGES
 from pipelines.dock.docking_log import Docking, Entry
+from pipelines.dock.docking_map import docking_map
 from pipelines.dock.exploration import Explorer
 from pipelines.dock.fine_alignment import FineAlignment
-from pipelines.dock.planar_motion import distance_between, position_sigma
+from pipelines.dock.planar_motion import behind, distance_between, position_sigma
 from pipelines.dock.pose_estimate import PoseEstimate, pose_estimate_of
-from pipelines.dock.road_map import RoadMap, road_map_of_scene
+from pipelines.dock.road_map import RoadMap
 from pipelines.dock.robot import STANDSTILL, CheckedRobot, Movement, RobotError
 from pipelines.dock.safety import Safety
 from pipelines.dock.settings import DockSettings
@@ -36,9 +36,11 @@ from pipelines.dock.state_machine import DockingStateMachine
 from pipelines.dock.states import DockingState, Outcome, OutcomeKind, Phase
 from pipelines.dock.visibility import VisibilityCheck
 from pipelines.geometry.camera import Undistorter
+from pipelines.lightfield.area_map import AreaMap
+from pipelines.lightfield.open_world import OpenWorld
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.localizer import Localizer
-from pipelines.localize.measurement_model import VIEW_RESOLUTION_FACTOR, MeasurementModel
+from pipelines.localize.measurement_model import VIEW_RESOLUTION_FACTOR
 from pipelines.localize.run import BY_ODOMETRY, FrameRecord
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.render.choices import Quality
@@ -92,6 +94,7 @@ class Equipment:
         settings: the docking's settings, with the staging distance that was chosen in the end.
         mask: ``(height, width)``, True where the robot's images are used; None: everywhere.
         notes: lines that a user should know before docking begins.
+        areas: of the world that the robot is localized in; None: it is one scene.
     """
 
     robot: CheckedRobot
@@ -102,10 +105,11 @@ class Equipment:
     settings: DockSettings
     mask: BoolArray | None = None
     notes: tuple[str, ...] = ()
+    areas: AreaMap | None = None
 
 
 def equipment_of(
-    scene: Scene,
+    scene: Scene | OpenWorld,
     robot: CheckedRobot,
     goal: FloatArray,
     settings: DockSettings,
@@ -117,7 +121,7 @@ def equipment_of(
     """Makes the parts of the docking loop for a robot in a scene.
 
     Args:
-        scene: the light field.
+        scene: the light field, or a world of several.
         robot: the robot, checked.
         goal: ``(3,)`` x, y in metres and heading in radians.
         settings: the docking's settings.
@@ -125,53 +129,59 @@ def equipment_of(
         rng: the filter's random numbers.
         mask: ``(height, width)``, True where images of the robot's camera are to be used; None:
             everywhere.
-        road_map: places that can be driven; None: where the scene's photos were taken.
+        road_map: places that can be driven; None: where the map's photos were taken.
 
     Raises:
         OptionError: a goal where no robot can be or whose view the map does not show, an area
-            outside of the scene, a filter with six degrees of freedom.
+            outside of the scene, a filter with six degrees of freedom, settings that a world does
+            not take, too little memory for one.
     """
     if filter_settings.state_space.angles != 1:
         raise OptionError("docking takes place on a floor: the filter needs 3 degrees of freedom")
     chosen = filter_settings
-    x_min, x_max, y_min, y_max = chosen.area or map(float, scene.bounds)
-    clearance = Clearance(scene, float(robot.base_from_camera[2, 3]))
-    safety = Safety((x_min, x_max, y_min, y_max), clearance, settings.distance_kept, scene.ground)
+    whole = docking_map(scene)
+    around = whole.around(np.stack([goal, behind(goal, settings.staging_distance)]))
+    x_min, x_max, y_min, y_max = chosen.area or map(float, whole.bounds)
+    clearance = whole.clearance(around, float(robot.base_from_camera[2, 3]))
+    safety = Safety((x_min, x_max, y_min, y_max), clearance, settings.distance_kept, whole.ground)
     safety.check_goal(goal)
     renderer = renderer_of_scene(
-        scene,
+        around,
         VIEW_RESOLUTION_FACTOR * chosen.fine_width,
         chosen.blending,
-        quality_named(chosen.quality, bool(scene.depth), Quality.MEDIUM),
+        quality_named(chosen.quality, bool(around.depth), Quality.MEDIUM),
         chosen.threads,
         chosen.device,
     )
 
-    model = MeasurementModel.of_scene(scene, robot.base_from_camera, chosen)
+    followed = whole.follow(around, robot.base_from_camera, chosen)
+    model = followed.model
 
     def localizer_of(start: tuple[float, ...] | None) -> Localizer:
         own = replace(chosen, start=start)
-        return Localizer(scene, robot.camera, robot.base_from_camera, own, rng, model, mask)
+        where, mount = followed.where, robot.base_from_camera
+        return Localizer(where, robot.camera, mount, own, rng, model, mask)
 
     intrinsics = Undistorter(robot.camera).intrinsics
     mount, width = robot.base_from_camera, chosen.fine_width
     visibility = VisibilityCheck(renderer, model, mount, intrinsics, width, mask)
     goal_note = visibility.check_goal(goal)
     settings, staging_note = visibility.visible_staging(goal, settings)
-    explorer = Explorer(renderer, robot.base_from_camera, intrinsics, safety)
+    explorer = Explorer(followed.views or renderer, robot.base_from_camera, intrinsics, safety)
     reach = settings.staging_distance + ALIGNED_BEYOND_STAGING
     alignment = FineAlignment(
-        scene, robot.camera, robot.base_from_camera, chosen, goal, reach, mask
+        around, robot.camera, robot.base_from_camera, chosen, goal, reach, mask
     )
     return Equipment(
         robot,
         localizer_of(chosen.start),
         lambda: localizer_of(None),
         alignment,
-        DockingStateMachine(goal, settings, safety, explorer, road_map or road_map_of_scene(scene)),
+        DockingStateMachine(goal, settings, safety, explorer, road_map or whole.road_map()),
         settings,
         mask,
         tuple(note for note in (goal_note, staging_note) if note),
+        whole.areas,
     )
 
 

@@ -11,6 +11,7 @@ from pipelines.dock.planar_motion import moved
 from pipelines.dock.robot import STANDSTILL, CheckedRobot, Movement
 from pipelines.dock.settings import DockSettings
 from pipelines.dock.states import Outcome
+from pipelines.lightfield.area_map import AreaMap
 from pipelines.localize.docking_record import DockingRecord
 from pipelines.localize.run import FrameRecord, Run
 from pipelines.localize.settings import LocalizerSettings
@@ -83,6 +84,7 @@ def run_of(
     filter_settings: LocalizerSettings,
     settings: DockSettings,
     origin: Origin,
+    areas: AreaMap | None = None,
 ) -> Run | None:
     """The run file's content of a docking; None where not a single image was taken.
 
@@ -92,6 +94,7 @@ def run_of(
         filter_settings: the filter's settings.
         settings: the docking's settings.
         origin: where the run comes from.
+        areas: of the world that the robot was localized in; None: it was one scene.
     """
     entries = docking.entries
     if not entries:
@@ -127,6 +130,7 @@ def run_of(
             commands=_stacked([entry.command for entry in entries]),
             measured=_stacked([entry.measured for entry in entries]),
         ),
+        areas=areas,
     )
 
 

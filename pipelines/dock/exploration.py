@@ -9,16 +9,16 @@ form.) After a full rotation it backs away, if that is safe at every mode, and r
 
 import math
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
-from pipelines.artifacts.arrays import FloatArray
+from pipelines.artifacts.arrays import BoolArray, Float32Array, FloatArray
 from pipelines.dock.planar_motion import moved
 from pipelines.dock.robot import STANDSTILL, Movement
 from pipelines.dock.safety import Safety
 from pipelines.geometry.camera import Intrinsics
 from pipelines.localize.state_space import PLANAR
-from pipelines.render.renderer import Renderer
 
 # Directions that are viewed one after the other, and the yaw from one to the next.
 DIRECTIONS = 12
@@ -72,11 +72,20 @@ class Search:
         )
 
 
+class RendersViews(Protocol):
+    """What renders small views of the map anywhere."""
+
+    def render_many(
+        self, world_from_camera: FloatArray, intrinsics: Intrinsics
+    ) -> tuple[Float32Array, BoolArray]:
+        """Images ``(M, h, w, 3)`` at poses ``(M, 4, 4)``, and which pixels the map covers."""
+
+
 class Explorer:
     """Chooses the movements of a search.
 
     Args:
-        renderer: renders the scene's photos in colours.
+        renderer: renders the map's photos.
         base_from_camera: ``(4, 4)`` the camera's mount.
         intrinsics: of the camera, without distortion.
         safety: bounds of all movements.
@@ -84,7 +93,7 @@ class Explorer:
 
     def __init__(
         self,
-        renderer: Renderer,
+        renderer: RendersViews,
         base_from_camera: FloatArray,
         intrinsics: Intrinsics,
         safety: Safety,

@@ -9,11 +9,13 @@ from pipelines.artifacts.arguments import check_fields, checked_number
 from pipelines.artifacts.arrays import BoolArray, FloatArray, checked_array
 from pipelines.artifacts.errors import InputError, OptionError
 from pipelines.dataset.images import decode_image, read_image_bytes
+from pipelines.dock.docking_map import docking_map
 from pipelines.dock.fine_alignment import FineAlignment
 from pipelines.dock.pose_estimate import pose_estimate_of
 from pipelines.dock.robot import CheckedRobot
 from pipelines.geometry.camera import Camera
 from pipelines.geometry.pose import inverse, planar_state_of
+from pipelines.lightfield.open_world import OpenWorld
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.localizer import Localizer
 from pipelines.localize.settings import LocalizerSettings
@@ -50,7 +52,7 @@ class Goal:
 
 def goal_state(
     goal: Goal,
-    scene: Scene,
+    scene: Scene | OpenWorld,
     robot: CheckedRobot,
     settings: LocalizerSettings,
     seed: int,
@@ -60,7 +62,7 @@ def goal_state(
 
     Args:
         goal: where to.
-        scene: the light field.
+        scene: the light field, or a world of several.
         robot: that is to dock.
         settings: of the filter that searches for an image's place.
         seed: of that filter's random numbers.
@@ -83,12 +85,12 @@ def goal_state(
     )
 
 
-def goal_of_view(scene: Scene, index: int, base_from_camera: FloatArray) -> FloatArray:
+def goal_of_view(scene: Scene | OpenWorld, index: int, base_from_camera: FloatArray) -> FloatArray:
     """The state ``(3,)`` at which the robot's camera stands where view ``index`` was taken.
 
     Args:
-        scene: the light field.
-        index: number of the view, from 0.
+        scene: the light field, or a world of several.
+        index: number of the view, from 0; in a world, of the photo.
         base_from_camera: ``(4, 4)`` the robot camera's mount; it may be at another height than the
             camera of the view.
 
@@ -96,13 +98,14 @@ def goal_of_view(scene: Scene, index: int, base_from_camera: FloatArray) -> Floa
         OptionError: no such view.
     """
     checked_number(index, "view", whole=True)
-    if not 0 <= index < len(scene):
-        raise OptionError(f"the scene has no view {index}; its views are 0 to {len(scene) - 1}")
+    count = len(scene.world_from_camera)
+    if not 0 <= index < count:
+        raise OptionError(f"the scene has no view {index}; its views are 0 to {count - 1}")
     return planar_state_of(scene.world_from_camera[index] @ inverse(base_from_camera))
 
 
 def goal_of_image(
-    scene: Scene,
+    scene: Scene | OpenWorld,
     path: Path,
     camera: Camera,
     base_from_camera: FloatArray,
@@ -113,7 +116,7 @@ def goal_of_image(
     """The state ``(3,)`` from which the robot's camera sees an image.
 
     Args:
-        scene: the light field.
+        scene: the light field, or a world of several.
         path: image file, taken with the robot's camera.
         camera: the robot's camera.
         base_from_camera: ``(4, 4)`` the camera's mount.
@@ -134,10 +137,16 @@ def goal_of_image(
         )
     anywhere = replace(settings, start=None)
     localizer = Localizer(scene, camera, base_from_camera, anywhere, rng, mask=mask)
-    alignment = FineAlignment(scene, camera, base_from_camera, settings, mask=mask)
+    alignment: FineAlignment | None = None
     for number in range(MOST_STEPS):
         frame = localizer.step(image, np.zeros(3) if number else None, float(number))
-        candidates = alignment(pose_estimate_of(frame), image)
+        estimate = pose_estimate_of(frame)
+        if not estimate.is_localized:
+            continue
+        if alignment is None:
+            around = docking_map(scene).around(estimate.state[None])
+            alignment = FineAlignment(around, camera, base_from_camera, settings, mask=mask)
+        candidates = alignment(estimate, image)
         if candidates:
             return candidates[0].state
     raise InputError(

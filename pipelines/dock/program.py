@@ -17,6 +17,7 @@ from pipelines.dock.goals import Goal, goal_state
 from pipelines.dock.robot import CheckedRobot, Robot
 from pipelines.dock.settings import DockSettings
 from pipelines.dock.states import Outcome
+from pipelines.lightfield.open_world import OpenWorld
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.run import Run
 from pipelines.localize.settings import LocalizerSettings
@@ -45,7 +46,7 @@ class DockingResult:
 
 
 def dock(
-    scene: Scene,
+    scene: Scene | OpenWorld,
     robot: Robot | CheckedRobot,
     goal: Goal | ArrayLike,
     settings: DockSettings | None = None,
@@ -63,7 +64,7 @@ def dock(
     ``docs/docking.md`` describes its states and when it ends.
 
     Args:
-        scene: the light field.
+        scene: the light field, or a world of several.
         robot: an object with the members of ``Robot``, or what ``robot_named`` returned.
         goal: ``(3,)`` x, y in metres and heading in radians, in the scene's world; or a ``Goal``.
         settings: of the docking: drive, area, tolerances; None: the defaults.
@@ -88,7 +89,8 @@ def dock(
     """
     settings = DockSettings() if settings is None else settings
     chosen = LocalizerSettings() if filter_settings is None else filter_settings
-    checked_instance(scene, "the scene", Scene)
+    if not isinstance(scene, OpenWorld):
+        checked_instance(scene, "the scene", Scene)
     checked_instance(settings, "settings", DockSettings)
     checked_instance(chosen, "filter settings", LocalizerSettings)
     checked_number(seed, "seed", 0, whole=True)
@@ -110,7 +112,7 @@ def dock(
 
 
 def docked(
-    scene: Scene,
+    scene: Scene | OpenWorld,
     robot: CheckedRobot,
     goal: Goal,
     settings: DockSettings,
@@ -122,7 +124,7 @@ def docked(
     """Docks a robot.
 
     Args:
-        scene: the light field.
+        scene: the light field, or a world of several.
         robot: checked.
         goal: where to.
         settings: of the docking.
@@ -141,7 +143,7 @@ def docked(
     rng = np.random.default_rng(origin.seed)
     equipment = equipment_of(scene, robot, place, settings, filter_settings, rng, mask)
     docking = dock_equipped(equipment, listener)
-    run = run_of(docking, robot, filter_settings, equipment.settings, origin)
+    run = run_of(docking, robot, filter_settings, equipment.settings, origin, equipment.areas)
     return DockingResult(docking, run, equipment.notes)
 
 

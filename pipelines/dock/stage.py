@@ -21,7 +21,7 @@ from pipelines.dock.robot import STANDSTILL, CheckedRobot
 from pipelines.dock.robots.choice import RobotOptions, robot_named
 from pipelines.dock.settings import DockSettings
 from pipelines.dock.states import OutcomeKind
-from pipelines.lightfield.scene_file import load_scene
+from pipelines.lightfield.open_world import scene_or_world
 from pipelines.localize.run import save_run
 from pipelines.localize.scene_of_run import relative_scene_path
 from pipelines.localize.settings import LocalizerSettings
@@ -128,7 +128,7 @@ class DockRequest:
     """Which robot is to be docked where.
 
     Attributes:
-        scene: scene model.
+        scene: scene model, or the folder of a world of several.
         robot: see ``robots.choice.robot_named``.
         goal: where to; None: nowhere, for a robot that is only looked at.
         filter_settings: of the filter.
@@ -136,6 +136,8 @@ class DockRequest:
         robot_options: of a simulated robot.
         seed: of the filter's and a simulated robot's random numbers, not negative.
         mask: file that says where images of the robot's camera are not to be used.
+        memory: megabytes that localizing and docking in a world may take; None: 1000. A scene is in
+            memory as a whole.
 
     Raises:
         OptionError: a negative seed, or settings of a filter that does not drive.
@@ -149,6 +151,7 @@ class DockRequest:
     robot_options: RobotOptions = field(default_factory=RobotOptions)
     seed: int = 0
     mask: Path | None = None
+    memory: float | None = None
 
     def __post_init__(self) -> None:
         if self.seed < 0:
@@ -180,7 +183,7 @@ def dock_robot(
     if request.goal is None:
         raise OptionError("there is no goal")
     settings, seed = request.settings, request.seed
-    scene = load_scene(request.scene)
+    scene = scene_or_world(request.scene, request.memory)
     # The run says where it was computed: another device rounds differently.
     device = resolved_device(request.filter_settings.device)
     filter_settings = replace(request.filter_settings, device=device)
@@ -215,7 +218,7 @@ def dry_run(request: DockRequest) -> DryRunSummary:
         InputError, OptionError, RobotError, StageError: it is not, or cannot be docked there.
     """
     goal, filter_settings, seed = request.goal, request.filter_settings, request.seed
-    scene = load_scene(request.scene)
+    scene = scene_or_world(request.scene, request.memory)
     robot = robot_named(request.robot, scene, request.robot_options, seed)
     seen = _mask_of(robot, request.mask)
     notes: tuple[str, ...] = ()

@@ -12,7 +12,10 @@ import scipy
 from pipelines.artifacts.arrays import BoolArray, FloatArray, IntArray
 from pipelines.geometry.camera import Undistorter
 from pipelines.lightfield.ground_carving import median_depth
+from pipelines.lightfield.open_world import OpenWorld
 from pipelines.lightfield.scene import Scene
+from pipelines.lightfield.scene_file import load_scene
+from pipelines.lightfield.world_file import area_path
 
 # Points of the surface lower than this are floor, metres.
 FLOOR = 0.12
@@ -28,6 +31,9 @@ SLICE = 0.2
 SLACK, SLACK_SHARE, NEARBY_IN_DEPTHS = 0.1, 0.03, 2.0
 # A point is there when so many views see it, as a multiple of those that see through it.
 SEEN_SHARE = 2.0
+# In a world, a place is next to an area when the nearest photo of that is by so much farther than
+# the nearest of all, metres: photos beyond a wall may be nearer to what stands before it.
+BESIDE_AREA = 1.0
 
 
 def obstacle_points(scene: Scene, top: float) -> FloatArray | None:
@@ -51,6 +57,30 @@ def obstacle_points(scene: Scene, top: float) -> FloatArray | None:
     # The mean of a cell's points, not its centre: in narrow passages centimetres count.
     means = np.stack(sums, axis=1)[kept] / counts[kept, None]
     return None if len(means) == 0 else np.asarray(means, dtype=np.float64)
+
+
+def obstacle_points_of_world(world: OpenWorld, top: float) -> FloatArray | None:
+    """Positions ``(M, 2)`` of the obstacles in all areas; None where no depth map shows any.
+
+    The areas are read one after the other, and of each only the points are kept, and of these only
+    those in the area and next to it: of what is far from its photos none says that it is not there.
+
+    Args:
+        world: its areas.
+        top: surfaces higher than this above the floor do not count, metres.
+
+    Raises:
+        InputError: an area's file is damaged, or cannot be read any more.
+    """
+    if not world.has_depth:
+        return None
+    points = [np.zeros((0, 2))]
+    for number, area in enumerate(world.index.areas):
+        found = obstacle_points(load_scene(area_path(world.path, area.name)), top)
+        if found is not None:
+            points.append(found[world.area_map.borders(found, BESIDE_AREA)[:, number]])
+    together = np.concatenate(points)
+    return together if len(together) > 0 else None
 
 
 def _points_of_view(scene: Scene, index: int, top: float) -> FloatArray:

@@ -1,7 +1,7 @@
 """A world that is localized in: its areas' files are read view by view, when they are needed."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -9,13 +9,14 @@ import numpy as np
 
 from pipelines.artifacts.arguments import PathLike, checked_number, checked_path
 from pipelines.artifacts.arrays import FloatArray
-from pipelines.artifacts.errors import InputError
+from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.artifacts.kinds import is_world
 from pipelines.geometry.plane import Plane
 from pipelines.lightfield.area_map import AreaMap
 from pipelines.lightfield.area_recognition import AreaRecognition
 from pipelines.lightfield.free_ground import FreeGround
 from pipelines.lightfield.scene import Scene
-from pipelines.lightfield.scene_file import load_part
+from pipelines.lightfield.scene_file import load_part, load_scene
 from pipelines.lightfield.world_file import World, area_path, load_recognition, load_world
 
 # Side of the cells of the whole floor's free ground, metres.
@@ -118,6 +119,35 @@ class OpenWorld:
             part = slice(start, start + TOGETHER)
             yield tuple(photos[part]), load_part(path, rows[part].tolist())
 
+    def light_field(self, photos: Sequence[int]) -> Scene:
+        """One scene of some photos, each as in the area in which it is at home.
+
+        Args:
+            photos: their numbers in the world; at least one, all of them at home somewhere.
+
+        Returns:
+            The photos, by area and number. Bounds and ground are those of one of the areas.
+
+        Raises:
+            InputError: a file is damaged, or cannot be read any more.
+        """
+        parts: list[Scene] = []
+        for area in range(len(self.index.areas)):
+            own = sorted(photo for photo in photos if self.index.home[photo] == area)
+            parts += [scene for _, scene in self.scenes(area, own)]
+        first_camera = np.cumsum([0, *(len(part.cameras) for part in parts)])
+        shifted = [part.camera_index + first_camera[n] for n, part in enumerate(parts)]
+        return replace(
+            parts[0],
+            image_names=tuple(name for part in parts for name in part.image_names),
+            encoded_images=tuple(image for part in parts for image in part.encoded_images),
+            timestamps=np.concatenate([part.timestamps for part in parts]),
+            cameras=tuple(camera for part in parts for camera in part.cameras),
+            camera_index=np.concatenate(shifted),
+            world_from_camera=np.concatenate([part.world_from_camera for part in parts]),
+            depth=tuple(depth for part in parts for depth in part.depth),
+        )
+
 
 def open_world(path: PathLike, memory: float = DEFAULT_MEGABYTES) -> OpenWorld:
     """Opens a world to localize in it.
@@ -146,6 +176,24 @@ def open_world(path: PathLike, memory: float = DEFAULT_MEGABYTES) -> OpenWorld:
     recognition = load_recognition(path, index)
     ground = _united_ground(outlines)
     return OpenWorld(path, index, tuple(outlines), ground, recognition, float(memory))
+
+
+def scene_or_world(path: Path, memory: float | None) -> Scene | OpenWorld:
+    """Opens a scene model or a world of several.
+
+    Args:
+        path: the file of the one, or the folder of the other.
+        memory: megabytes for a world, as ``open_world`` takes them; None: the default.
+
+    Raises:
+        InputError, StageError: it cannot be used.
+        OptionError: a bound on memory for a scene, or one that is no positive number.
+    """
+    if is_world(path):
+        return open_world(path, DEFAULT_MEGABYTES if memory is None else memory)
+    if memory is not None:
+        raise OptionError("--memory bounds what a world opens of its areas; a scene is one piece")
+    return load_scene(path)
 
 
 def _united_ground(outlines: Sequence[Scene]) -> FreeGround:

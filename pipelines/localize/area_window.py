@@ -25,6 +25,7 @@ class AreaWindow:
         world: whose areas they are.
         body_from_camera: ``(4, 4)`` the camera's mount on the robot, metres.
         settings: of the filter.
+        reserved: megabytes of the world's budget that are needed for other things.
 
     Attributes:
         model: compares states with images, by the views of the open areas.
@@ -36,7 +37,11 @@ class AreaWindow:
     """
 
     def __init__(
-        self, world: OpenWorld, body_from_camera: FloatArray, settings: LocalizerSettings
+        self,
+        world: OpenWorld,
+        body_from_camera: FloatArray,
+        settings: LocalizerSettings,
+        reserved: float = 0.0,
     ) -> None:
         self._areas = AreaRenderers(
             world,
@@ -45,6 +50,7 @@ class AreaWindow:
             settings.blending,
             quality_named(settings.quality, world.has_depth, Quality.MEDIUM),
             settings.threads,
+            reserved,
         )
         sizes = np.array([len(area.views) for area in world.index.areas])
         # A world that fits is there from the first image on, as a scene is; of a larger one nobody

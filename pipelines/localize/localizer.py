@@ -57,13 +57,14 @@ class Localizer:
     each of them. Search, statuses and confidence go beyond the paper: ``docs/localization.md``.
 
     Args:
-        scene: the light field, or a world of several.
+        scene: the light field, or a world of several; or areas of one that are open already.
         camera: of the robot; need not be the one that recorded the scene.
         body_from_camera: ``(4, 4)`` the camera's mount on the robot, metres; the identity where the
             camera is the body.
         settings: of the particle filter; None: the defaults.
         rng: the only source of randomness; None: one of seed 0.
-        model: compares states with images; built from the scene when None.
+        model: compares states with images; built from the scene when None. Open areas have their
+            own.
         mask: ``(height, width)``, True where the camera's images as recorded are to be used; None:
             everywhere.
 
@@ -76,7 +77,7 @@ class Localizer:
 
     def __init__(
         self,
-        scene: Scene | OpenWorld,
+        scene: Scene | OpenWorld | AreaWindow,
         camera: Camera,
         body_from_camera: FloatArray,
         settings: LocalizerSettings | None = None,
@@ -86,7 +87,7 @@ class Localizer:
     ) -> None:
         settings = LocalizerSettings() if settings is None else settings
         rng = np.random.default_rng(0) if rng is None else rng
-        if not isinstance(scene, OpenWorld):
+        if not isinstance(scene, OpenWorld | AreaWindow):
             checked_instance(scene, "the scene", Scene)
         checked_instance(camera, "the camera", Camera)
         checked_instance(settings, "settings", LocalizerSettings)
@@ -100,8 +101,10 @@ class Localizer:
         self._window: AreaWindow | None = None
         if isinstance(scene, OpenWorld):
             check_world_settings(settings, model)
-            self._window = AreaWindow(scene, body_from_camera, settings)
-            model = self._window.model
+            scene = AreaWindow(scene, body_from_camera, settings)
+        if isinstance(scene, AreaWindow):
+            self._window = scene
+            scene, model = self._window.world, self._window.model
         elif model is None:
             model = MeasurementModel.of_scene(scene, body_from_camera, settings)
         if settings.refine_width > 0 and model.renderer.threads > 1:

@@ -16,7 +16,6 @@ from pipelines.artifacts.arguments import (
 from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.artifacts.atomic import check_output
 from pipelines.artifacts.errors import InputError, OptionError, StageError
-from pipelines.artifacts.kinds import is_world
 from pipelines.artifacts.provenance import provenance, sha256_of_file
 from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.dataset.dataset import (
@@ -27,9 +26,8 @@ from pipelines.dataset.dataset import (
     poses_at_images,
 )
 from pipelines.geometry.planarity import check_planar
-from pipelines.lightfield.open_world import DEFAULT_MEGABYTES, OpenWorld, open_world
+from pipelines.lightfield.open_world import OpenWorld, scene_or_world
 from pipelines.lightfield.scene import Scene
-from pipelines.lightfield.scene_file import load_scene
 from pipelines.localize.belief import Region
 from pipelines.localize.description import RunSummary
 from pipelines.localize.landmarks import LandmarkSource
@@ -149,7 +147,7 @@ def localize(request: LocalizeRequest, progress: Progress = no_progress) -> RunS
     check_output(request.output, request.overwrite)
     if reconstruction is not None and not settings.uses_pnp:
         raise OptionError("a reconstruction is of use to PnP alone, which nothing asks for")
-    scene = _scene_or_world(request)
+    scene = scene_or_world(request.scene, request.memory)
     points = None if reconstruction is None else load_reconstruction(reconstruction)
     dataset = load_dataset(request.dataset, odometry=request.odometry, mask=request.mask)
     if request.ignore_odometry:
@@ -180,21 +178,6 @@ def localize(request: LocalizeRequest, progress: Progress = no_progress) -> RunS
     )
     save_run(request.output, run, request.overwrite)
     return RunSummary(request.output, run)
-
-
-def _scene_or_world(request: LocalizeRequest) -> Scene | OpenWorld:
-    """What is localized in.
-
-    Raises:
-        InputError: it cannot be used.
-        OptionError: a bound on memory for a scene.
-    """
-    if is_world(request.scene):
-        memory = DEFAULT_MEGABYTES if request.memory is None else request.memory
-        return open_world(request.scene, memory)
-    if request.memory is not None:
-        raise OptionError("--memory bounds what a world opens of its areas; a scene is one piece")
-    return load_scene(request.scene)
 
 
 def _landmarks(scene: Scene | OpenWorld, points: Reconstruction, name: str) -> LandmarkSource:

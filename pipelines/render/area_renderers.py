@@ -59,6 +59,7 @@ class AreaRenderers:
         blending: the rule that chooses and weights the views.
         quality: how finely the surface follows the views' depth maps.
         threads: how many work at the same time; None: one a processor.
+        reserved: megabytes of the world's budget that are needed for other things.
 
     Attributes:
         world: the areas.
@@ -79,6 +80,7 @@ class AreaRenderers:
         blending: Blending,
         quality: Quality,
         threads: int | None,
+        reserved: float = 0.0,
     ) -> None:
         if quality is Quality.PLANE and world.plane is None:
             raise OptionError(
@@ -88,7 +90,7 @@ class AreaRenderers:
         self.world = world
         self._side, self._channels = side, tuple(channels)
         self._blending, self._quality, self._threads = blending, quality, threads
-        self._places = _places_within_budget(world, side, len(self._channels))
+        self._places = _places_within_budget(world, side, len(self._channels), reserved)
         self._arena = ViewArena(self._places, side, len(self._channels))
         self._open: tuple[int, ...] = ()
         self._needed_at: dict[int, int] = {}
@@ -211,7 +213,7 @@ def colour_renderers(
     return lambda pose: areas.at(pose[:2, 3], Channels.COLOUR)
 
 
-def _places_within_budget(world: OpenWorld, side: int, channels: int) -> int:
+def _places_within_budget(world: OpenWorld, side: int, channels: int, reserved: float) -> int:
     """How many views fit into the world's budget, and not more than it has.
 
     Raises:
@@ -219,10 +221,11 @@ def _places_within_budget(world: OpenWorld, side: int, channels: int) -> int:
     """
     cameras = [camera for outline in world.outlines for camera in outline.cameras]
     of_view = max(view_bytes(camera, side, channels, world.has_depth) for camera in cameras) / 1e6
-    places = int((world.memory - BESIDE_VIEWS) / of_view)
+    beside = BESIDE_VIEWS + reserved
+    places = int((world.memory - beside) / of_view)
     largest = max(world.index.areas, key=lambda area: len(area.views))
     if places < len(largest.views):
-        least = math.ceil(BESIDE_VIEWS + len(largest.views) * of_view)
+        least = math.ceil(beside + len(largest.views) * of_view)
         raise OptionError(
             f"--memory {world.memory:g} is too small for area {largest.name} and its "
             f"{len(largest.views)} views, which take {least} MB; "

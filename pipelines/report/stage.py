@@ -10,7 +10,7 @@ from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.atomic import atomic_folder, check_output
 from pipelines.artifacts.errors import InputError, LfnavError, OptionError
 from pipelines.artifacts.stages import Progress, no_progress
-from pipelines.lightfield.obstacle_points import obstacle_points
+from pipelines.lightfield.obstacle_points import obstacle_points, obstacle_points_of_world
 from pipelines.lightfield.open_world import OpenWorld
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import scene_provenance
@@ -190,10 +190,14 @@ def _content(
             raise InputError(run_path, f"frame {index} cannot be shown ({error})") from error
     clouds = [run.frames[index].particles for index in indices]
     around = surroundings_of(scene, tracks, clouds)
-    if run.docking is not None and isinstance(scene, Scene):
+    if run.docking is not None:
         # A docking robot avoids obstacles: show them.
         top = float(run.base_from_camera[2, 3])
-        around = replace(around, obstacles=obstacle_points(scene, top))
+        if isinstance(scene, OpenWorld):
+            points = obstacle_points_of_world(scene, top)
+        else:
+            points = obstacle_points(scene, top)
+        around = replace(around, obstacles=points)
     return Content(run, tracks, around, views)
 
 

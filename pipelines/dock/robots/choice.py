@@ -22,6 +22,7 @@ from pipelines.dock.robots.replay import ReplayRobot
 from pipelines.dock.robots.simulator import PathTracing, SimulatorRobot
 from pipelines.dock.robots.world_model import WorldModelRobot
 from pipelines.geometry.camera import Camera, Undistorter
+from pipelines.lightfield.open_world import OpenWorld
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_scene
 from pipelines.lightfield.world_file import area_path, load_world
@@ -58,13 +59,15 @@ class RobotOptions:
             raise OptionError(f"camera width {self.camera_width} is not between 16 and 8192")
 
 
-def robot_named(name: str, scene: Scene, options: RobotOptions, seed: int) -> CheckedRobot:
+def robot_named(
+    name: str, scene: Scene | OpenWorld, options: RobotOptions, seed: int
+) -> CheckedRobot:
     """The robot that a name stands for, checked.
 
     Args:
         name: ``model:SCENE.h5``, ``model:WORLD``, ``replay:DATASET``, ``sim:SCENE.xml`` or
             ``package.module:Class``.
-        scene: scene in which it will be docked. A simulated robot starts in the scene's bounds and
+        scene: scene or world in which it will be docked. A simulated robot starts in its bounds and
             has its camera unless ``options`` say otherwise.
         options: options of a simulated robot.
         seed: seed of a simulated robot's errors.
@@ -76,7 +79,8 @@ def robot_named(name: str, scene: Scene, options: RobotOptions, seed: int) -> Ch
         StageError: the simulator is not installed.
     """
     checked_instance(name, "robot", str)
-    checked_instance(scene, "the scene", Scene)
+    if not isinstance(scene, OpenWorld):
+        checked_instance(scene, "the scene", Scene)
     checked_instance(options, "robot options", RobotOptions)
     checked_number(seed, "seed", 0, whole=True)
     kind, colon, rest = name.partition(":")
@@ -91,7 +95,9 @@ def robot_named(name: str, scene: Scene, options: RobotOptions, seed: int) -> Ch
     return CheckedRobot(robot if options.fault is None else FaultyRobot(robot, *options.fault))
 
 
-def _simulated(kind: str, path: Path, scene: Scene, options: RobotOptions, seed: int) -> Robot:
+def _simulated(
+    kind: str, path: Path, scene: Scene | OpenWorld, options: RobotOptions, seed: int
+) -> Robot:
     """A simulated robot of one of the kinds ``SIMULATED``."""
     # One stream for each purpose: other camera noise does not change the motion.
     placing, moving, seeing = (np.random.default_rng([seed, part]) for part in (1, 2, 3))
@@ -106,14 +112,16 @@ def _simulated(kind: str, path: Path, scene: Scene, options: RobotOptions, seed:
         return WorldModelRobot(
             path, index, *_camera(first, options), motion, options.sensor, seeing
         )
-    world = load_scene(path) if kind == "model" else scene
-    camera, mount = _camera(world, options)
     if kind == "model":
+        world = load_scene(path)
+        camera, mount = _camera(world, options)
         return ModelRobot(world, camera, mount, motion, options.sensor, seeing)
+    first = scene.outlines[0] if isinstance(scene, OpenWorld) else scene
+    camera, mount = _camera(first, options)
     return SimulatorRobot(path, camera, mount, motion, options.sensor, options.tracing, seeing)
 
 
-def _random_state(scene: Scene, rng: np.random.Generator) -> FloatArray:
+def _random_state(scene: Scene | OpenWorld, rng: np.random.Generator) -> FloatArray:
     """A state ``(3,)`` drawn from a scene's free ground or bounds."""
     if scene.ground is not None:
         x, y = scene.ground.sample(1, rng)[0]
