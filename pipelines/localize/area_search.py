@@ -1,6 +1,7 @@
 """Search in a world of areas: first for the areas that may hold the body, then within these."""
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -11,21 +12,31 @@ from pipelines.localize.area_window import AreaWindow
 from pipelines.localize.belief import Region
 from pipelines.localize.observation import Observations
 from pipelines.localize.prediction import Prediction
-from pipelines.localize.retrieval import RetrievalIndex, joined, spread_states, states_around_views
-from pipelines.localize.search import THOROUGH, GlobalSearch, SearchEffort, ViewDatabase
+from pipelines.localize.retrieval import (
+    RetrievalIndex,
+    best_distinct,
+    joined,
+    spread_states,
+    states_around_views,
+)
+from pipelines.localize.search import THOROUGH, GlobalSearch, SearchEffort, ViewDatabase, of_views
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import sigmas_of
 
 # Areas are searched that together hold this share of the probability, and so many of them.
 SEARCHED_SHARE, LEAST_AREAS, MOST_AREAS = 0.99, 2, 6
-# States around so many photos that show most of an image, so many around each; metres and radians.
-ALIKE, COPIES = 20, 20
+# States around so many photos that show most of an image, at least so many of each area, and so
+# many around each; metres and radians.
+ALIKE, ALIKE_OF_AREA, COPIES = 20, 6, 20
 AROUND_POSITION, AROUND_ANGLE = 0.3, 0.2
+# So many of an area's best are aligned, and so many kept. Where these explain this share of the
+# image, views all over the areas are not needed.
+ALIGNED_OF_AREA, KEPT_OF_AREA, WELL_EXPLAINED = 2, 30, 0.5
 # Views of a search are shared out to so many areas, whether or not so many are searched.
 AREAS_A_SEARCH = 6
 # An area is open while it holds this share of the predicted belief, or while the body is so near to
-# a place from which it was photographed; metres.
-HELD_SHARE, NEAR = 0.01, 1.0
+# a place from which it was photographed; metres. Areas that are not much farther are read ahead.
+HELD_SHARE, NEAR, SOON = 0.01, 1.0, 3.0
 
 
 class AreaSearch(GlobalSearch):
@@ -55,6 +66,9 @@ class AreaSearch(GlobalSearch):
         self._used = None if mask is None else mask.astype(np.uint8)
         self._ranked: tuple[int, tuple[int, ...]] = (-1, ())
         self._alike: IntArray = np.empty(0, dtype=np.int64)
+        # Number of an image, states around the photos that show most of it, and whether these do.
+        none = np.empty((0, window.model.space.dimension))
+        self._around: tuple[int, FloatArray, bool] = (-1, none, False)
         self._held: tuple[int, ...] = ()
         self._views_of_area: dict[int, RetrievalIndex] = {}
 
@@ -75,10 +89,13 @@ class AreaSearch(GlobalSearch):
         heaviest = places[int(np.argmax(prediction.log_weights))]
         near = [area for area in area_map.near(heaviest, NEAR).tolist() if area not in held]
         self._held = tuple(held)
-        self._open([*held, *near])
+        self._open([*held, *near], area_map.near(heaviest, SOON).tolist())
 
     def everywhere(self, observations: Observations) -> ViewDatabase:
-        """Views all over the areas in which an image may have been taken; these are opened.
+        """Where an image may have been taken in the areas that are likely; these are opened.
+
+        States around the photos that show most of the image, where one of them explains it well;
+        else views all over these areas.
 
         Args:
             observations: an image of the size that is searched for.
@@ -87,6 +104,12 @@ class AreaSearch(GlobalSearch):
         # Where the body was thought to be is looked at, whatever the image looks like.
         self._open([*likely[:1], *self._held, *likely[1:]])
         is_open = set(self._window.open_areas)
+        number = observations.by_width[self._settings.coarse_width].number
+        if number != self._around[0]:
+            opened = [area for area in likely if area in is_open]
+            self._around = (number, *self._around_photos(opened, observations))
+        if self._around[2]:
+            return ViewDatabase(self._around[1], 1.0, None)
         indices = []
         for area in likely:
             if area not in is_open:
@@ -94,35 +117,81 @@ class AreaSearch(GlobalSearch):
             if area not in self._views_of_area:
                 self._views_of_area[area] = self._index(self._area_states(area), observations)
             indices.append(self._views_of_area[area])
-        return ViewDatabase(joined(indices), 1.0)
+        return of_views(joined(indices), 1.0)
 
     def retrieved(
         self, database: ViewDatabase, observations: Observations, effort: SearchEffort
     ) -> tuple[FloatArray, FloatArray]:
         """States ``(K, D)`` whose views look most like an image, and its evidence ``(K,)``.
 
-        In a thorough search also states around the photos of the world that show most of what the
-        image shows.
+        In a thorough search of rendered views also states around the photos of the world that show
+        most of what the image shows.
 
         Args:
-            database: the views.
+            database: the states.
             observations: the image.
             effort: how many states.
         """
         states, evidence = super().retrieved(database, observations, effort)
-        if effort is not THOROUGH or len(self._alike) == 0:
+        if database.index is None:
+            # Around the photos most states are none from which the image was taken.
+            kept = evidence >= min(0.0, float(evidence.max()))
+            return states[kept], evidence[kept]
+        around = self._around[1]
+        if effort is not THOROUGH or len(around) == 0:
             return states, evidence
-        space, model = self._model.space, self._model
-        poses = self._views[self._alike] @ inverse(model.body_from_camera)
-        around = np.repeat(space.states(poses), COPIES, axis=0)
-        sigma = sigmas_of(space, AROUND_POSITION, AROUND_ANGLE)
-        around = space.moved(around, sigma * self._rng.standard_normal(around.shape))
+        model = self._model
         fine = observations.by_width[self._settings.fine_width]
         found = model.evidence(around, fine, model.likelihood.pixel_subsampling)
         return np.concatenate([states, around]), np.concatenate([evidence, found])
 
-    def _open(self, areas: Iterable[int]) -> None:
-        self._window.need(areas)
+    def _around_photos(
+        self, areas: Sequence[int], observations: Observations
+    ) -> tuple[FloatArray, bool]:
+        """States ``(K, D)`` around the photos that show most of an image; whether one explains it.
+
+        An area's states are kept whatever those of others explain: where areas are alike, one image
+        must not decide.
+
+        Args:
+            areas: open areas in which the image may have been taken.
+            observations: the image.
+        """
+        space, model, settings = self._model.space, self._model, self._settings
+        fine = observations.by_width[settings.fine_width]
+        homes = self._window.world.index.home[self._alike]
+        kept, explained = [np.empty((0, space.dimension))], 0.0
+        for area in areas:
+            own = np.flatnonzero(homes == area)
+            photos = self._alike[own[(own < ALIKE) | (np.arange(len(own)) < ALIKE_OF_AREA)]]
+            if len(photos) == 0:
+                continue
+            poses = self._views[photos] @ inverse(model.body_from_camera)
+            around = np.repeat(space.states(poses), COPIES, axis=0)
+            sigma = sigmas_of(space, AROUND_POSITION, AROUND_ANGLE)
+            around = space.moved(around, sigma * self._rng.standard_normal(around.shape))
+            evidence = model.evidence(around, fine, model.likelihood.pixel_subsampling)
+            best = best_distinct(space, around, evidence, ALIGNED_OF_AREA)
+            # An image that speaks against the best of so many states is rarely from near them.
+            found = self._aligned(around[best[evidence[best] > 0.0]], observations)
+            if len(found) > 0:
+                largest = float(model.evidence(found, fine).max())
+                explained = max(explained, model.explained_by(largest, fine))
+            rest = np.argsort(-evidence, kind="stable")[: KEPT_OF_AREA - len(found)]
+            kept.append(np.concatenate([found, around[rest]]))
+        ranks = np.concatenate([np.arange(len(states)) for states in kept])
+        states = np.concatenate(kept)[np.argsort(ranks, kind="stable")]
+        return states, explained >= WELL_EXPLAINED
+
+    def _aligned(self, states: FloatArray, observations: Observations) -> FloatArray:
+        """Those of the states ``(K, D)`` that can be aligned with an image, aligned with it."""
+        widths = [self._settings.coarse_width, self._settings.fine_width]
+        aligned = [self._model.aligned(state, observations, widths) for state in states]
+        found = [alignment.state for alignment in aligned if math.isfinite(alignment.error)]
+        return np.stack(found) if found else states[:0]
+
+    def _open(self, areas: Iterable[int], soon: Iterable[int] = ()) -> None:
+        self._window.need(areas, soon)
         is_open = set(self._window.open_areas)
         for area in set(self._views_of_area) - is_open:
             del self._views_of_area[area]
@@ -139,7 +208,7 @@ class AreaSearch(GlobalSearch):
             ranked = np.argsort(-recognised.areas, kind="stable")
             likely = ranked[: min(max(count, LEAST_AREAS), MOST_AREAS)]
             self._ranked = (number, tuple(likely.tolist()))
-            self._alike = recognised.photos[:ALIKE]
+            self._alike = recognised.photos
         return self._ranked[1]
 
     def _area_states(self, area: int) -> FloatArray:

@@ -72,6 +72,8 @@ class AreaWindow:
         for width in settings.widths:
             if width >= settings.fine_width:
                 self.model.pixels(width)
+        # What finds the area of a place is made now, not while a robot waits for an estimate.
+        world.area_map.areas_of(world.world_from_camera[:1, :2, 3])
 
     @property
     def world(self) -> OpenWorld:
@@ -83,11 +85,12 @@ class AreaWindow:
         """Numbers of the open areas, rising."""
         return self._areas.open_areas
 
-    def need(self, areas: Iterable[int]) -> None:
+    def need(self, areas: Iterable[int], soon: Iterable[int] = ()) -> None:
         """Opens areas, and closes others where memory is short.
 
         Args:
             areas: their numbers, the most important first.
+            soon: areas that may be needed next, which are read beside other work.
         """
-        if self._areas.need(areas) and self._areas.colours is not None:
+        if self._areas.need(areas, soon) and self._areas.colours is not None:
             self.model.show(self._areas.colours, self._areas.renderers)

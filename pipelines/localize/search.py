@@ -12,7 +12,7 @@ import numpy as np
 from pipelines.artifacts.arrays import FloatArray
 from pipelines.localize.belief import Region
 from pipelines.localize.measurement_model import MeasurementModel
-from pipelines.localize.observation import Observations
+from pipelines.localize.observation import Observation, Observations
 from pipelines.localize.prediction import Prediction
 from pipelines.localize.retrieval import (
     RetrievalIndex,
@@ -54,15 +54,30 @@ QUICK = SearchEffort(100, 3)
 
 @dataclass(frozen=True)
 class ViewDatabase:
-    """Rendered views among which an image is searched for.
+    """States among which an image is searched for.
 
     Attributes:
-        index: the views.
+        states: ``(N, D)``; without an index the likeliest first.
         scale: distances between hypotheses, as a share of those in a search of the whole map.
+        index: the views rendered at the states; None where these are so few that nothing need be
+            rendered to choose among them.
     """
 
-    index: RetrievalIndex
+    states: FloatArray
     scale: float
+    index: RetrievalIndex | None
+
+    def most_alike(self, image: Observation, count: int) -> FloatArray:
+        """States ``(count or fewer, D)`` whose views look most like an image, best first."""
+        if self.index is None:
+            return self.states[:count]
+        best = np.argsort(-self.index.scores(image), kind="stable")
+        return self.states[best[:count]]
+
+
+def of_views(index: RetrievalIndex, scale: float) -> ViewDatabase:
+    """The database of rendered views."""
+    return ViewDatabase(index.states, scale, index)
 
 
 class GlobalSearch:
@@ -106,7 +121,7 @@ class GlobalSearch:
             observations: an image of the size that is searched for.
         """
         if self._everywhere is None:
-            self._everywhere = ViewDatabase(self._index(self._map_states(), observations), 1.0)
+            self._everywhere = of_views(self._index(self._map_states(), observations), 1.0)
         return self._everywhere
 
     def around(self, prior: Prediction, observations: Observations) -> ViewDatabase:
@@ -122,7 +137,7 @@ class GlobalSearch:
         least = np.quantile(log_densities[:PRIOR_STATES], PRIOR_QUANTILE)
         states = np.concatenate([everywhere[log_densities[PRIOR_STATES:] >= least], drawn])
         uncertainty = max(prior.position_sigma / PRIOR_POSITION, prior.angle_sigma / PRIOR_ANGLE)
-        return ViewDatabase(self._index(states, observations), min(1.0, uncertainty))
+        return of_views(self._index(states, observations), min(1.0, uncertainty))
 
     def retrieved(
         self, database: ViewDatabase, observations: Observations, effort: SearchEffort
@@ -140,9 +155,7 @@ class GlobalSearch:
         space = self._model.space
         coarse = observations.by_width[self._settings.coarse_width]
         fine = observations.by_width[self._settings.fine_width]
-        scores = database.index.scores(coarse.in_channels(self._model.channels))
-        best = np.argsort(-scores, kind="stable")
-        found = database.index.states[best[: effort.retrieved]]
+        found = database.most_alike(coarse.in_channels(self._model.channels), effort.retrieved)
         position, angle = database.scale * AROUND_POSITION, database.scale * AROUND_ANGLE
         sigma = sigmas_of(space, position, angle)
         around = np.repeat(found, effort.copies, axis=0)

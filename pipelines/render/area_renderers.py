@@ -7,8 +7,11 @@ places are: first the one that has not been needed for longest.
 """
 
 import math
+import weakref
 from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
+from threading import Event
 
 from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.artifacts.errors import OptionError
@@ -95,6 +98,11 @@ class AreaRenderers:
         self._open: tuple[int, ...] = ()
         self._needed_at: dict[int, int] = {}
         self._requests = 0
+        self._reader = ThreadPoolExecutor(1)
+        self._reading: Future[None] | None = None
+        self._stop = Event()
+        # Who closes the program need not wait for what nobody needs any more.
+        weakref.finalize(self, self._stop.set)
         self.colours: Views | None = None
         self.renderers: dict[Channels, Renderer] = {}
 
@@ -108,12 +116,14 @@ class AreaRenderers:
         """Whether all areas may be open at once."""
         return self._fit(range(len(self.world.index.areas)))
 
-    def need(self, areas: Iterable[int]) -> bool:
+    def need(self, areas: Iterable[int], soon: Iterable[int] = ()) -> bool:
         """Opens areas, and closes others where memory is short.
 
         Args:
             areas: their numbers, the most important first; those that do not fit beside more
                 important ones stay closed.
+            soon: areas that may be needed next. They are read beside other work as far as there is
+                room, so that opening them takes no time then; nothing shows them yet.
 
         Returns:
             Whether ``colours`` and ``renderers`` are other ones now.
@@ -124,14 +134,26 @@ class AreaRenderers:
             if area not in wanted and self._fit([*wanted, area]):
                 wanted.append(area)
                 self._needed_at[area] = self._requests
+        ahead: list[int] = []
+        for area in soon:
+            if area not in wanted and self._fit([*wanted, *ahead, area]):
+                ahead.append(area)
         others = [area for area in self._open if area not in wanted]
         for area in sorted(others, key=lambda other: -self._needed_at[other]):
-            if self._fit([*wanted, area]):
+            if self._fit([*wanted, *ahead, area]):
                 wanted.append(area)
-        if set(wanted) == set(self._open):
-            return False
-        self._arrange(tuple(sorted(wanted)))
-        return True
+        ahead = [area for area in ahead if area not in wanted]
+        is_other = set(wanted) != set(self._open)
+        if is_other:
+            self._arrange(tuple(sorted(wanted)))
+        if ahead:
+            self._read_ahead(ahead)
+        return is_other
+
+    def finish_reading(self) -> None:
+        """Waits until what is read ahead is there."""
+        if self._reading is not None:
+            wait([self._reading])
 
     def at(self, place: FloatArray, channels: Channels) -> Renderer:
         """A renderer of what is seen from a place, whose areas are opened.
@@ -161,18 +183,18 @@ class AreaRenderers:
 
     def _arrange(self, areas: tuple[int, ...]) -> None:
         """Puts the views of these areas into the arena, and makes renderers of them."""
+        self._stop_reading()
         keys = sorted(self._sources(areas).items())
+        missing = [key for key in keys if key not in self._arena]
         # What is drawn with these must not see the places change.
         self.colours, self.renderers = None, {}
-        for key in set(self._arena.keys) - set(keys):
-            self._arena.drop(key)
-        for area in areas:
-            missing = [p for p, of in keys if of == area and (p, of) not in self._arena]
-            for photos, scene in self.world.scenes(area, missing):
-                colours = views_of_scene(scene, self._side)
-                kinds = [views_in_channels(colours, channels) for channels in self._channels]
-                for number, photo in enumerate(photos):
-                    self._arena.put((photo, area), kinds, number)
+        was_shown = set(self._sources(self._open).items())
+        unused = sorted(set(self._arena.keys) - set(keys), key=lambda key: key not in was_shown)
+        for key in unused:
+            # What was read ahead stays while nothing else needs its place.
+            if key in was_shown or self._arena.free < len(missing):
+                self._arena.drop(key)
+        _read(self.world, missing, self._arena, self._side, self._channels)
         self._open = areas
         views = [self._arena.views(keys, number) for number in range(len(self._channels))]
         typical = self._arena.typical_inverse_depth(keys)
@@ -186,6 +208,59 @@ class AreaRenderers:
                 self._threads,
                 typical,
             )
+
+    def _read_ahead(self, areas: Sequence[int]) -> None:
+        """Reads views of these areas into places that are free, beside other work."""
+        if self._reading is not None and not self._reading.done():
+            return
+        shown = self._sources(self._open)
+        keys = self._sources([*self._open, *areas]).items()
+        missing = [key for key in keys if key not in self._arena]
+        # A photo that another area shows already is the last to need a place of its own.
+        missing.sort(key=lambda key: (key[0] in shown, key[1], key[0]))
+        missing = missing[: self._arena.free]
+        if missing:
+            self._stop.clear()
+            self._reading = self._reader.submit(
+                _read, self.world, missing, self._arena, self._side, self._channels, self._stop
+            )
+
+    def _stop_reading(self) -> None:
+        """Waits until nothing is put into the arena; a file that is damaged is met again."""
+        self._stop.set()
+        self.finish_reading()
+        self._reading = None
+
+
+def _read(
+    world: OpenWorld,
+    keys: Sequence[tuple[int, int]],
+    arena: ViewArena,
+    side: int,
+    channels: Sequence[Channels],
+    stop: Event | None = None,
+) -> None:
+    """Puts views into free places of an arena.
+
+    Args:
+        world: whose views they are.
+        keys: photo and area of each.
+        arena: the places.
+        side: photos are area-averaged to so many pixels at most.
+        channels: in which photos are rendered.
+        stop: set when this shall end; None: never.
+
+    Raises:
+        InputError: an area's file is damaged.
+    """
+    for area in dict.fromkeys(area for _, area in keys):
+        for photos, scene in world.scenes(area, [photo for photo, of in keys if of == area]):
+            colours = views_of_scene(scene, side)
+            kinds = [views_in_channels(colours, channel) for channel in channels]
+            for number, photo in enumerate(photos):
+                arena.put((photo, area), kinds, number)
+            if stop is not None and stop.is_set():
+                return
 
 
 def colour_renderers(

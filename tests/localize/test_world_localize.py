@@ -1,8 +1,10 @@
 """Localizing in a world of two rooms: areas are opened, belief knows them, doors are no borders."""
 
 import shutil
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -10,7 +12,7 @@ import pytest
 
 from pipelines.artifacts.errors import InputError, OptionError
 from pipelines.dataset.images import decode_image
-from pipelines.lightfield.open_world import open_world
+from pipelines.lightfield.open_world import OpenWorld, open_world
 from pipelines.localize import area_search
 from pipelines.localize.evaluation import evaluate_run
 from pipelines.localize.run import Run, load_run
@@ -116,6 +118,43 @@ def test_areas_that_were_not_needed_for_longest_are_closed(
     assert not opened.need([0])
     assert opened.need([1])
     assert opened.open_areas == (1,)
+
+
+def test_what_was_read_ahead_is_not_read_again(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world = open_world(place / "world")
+    opened = AreaRenderers(world, 96, (Channels.COLOUR,), Blending.UNSTRUCTURED, Quality.COARSE, 1)
+    opened.need([0], soon=[0, 1])
+    assert opened.open_areas == (0,)
+    opened.finish_reading()
+    read: list[int] = []
+    scenes = OpenWorld.scenes
+
+    def noted(self: OpenWorld, area: int, photos: Sequence[int]) -> Iterator[Any]:
+        read.extend(photos)
+        return scenes(self, area, photos)
+
+    monkeypatch.setattr(OpenWorld, "scenes", noted)
+    opened.need([0, 1])
+    assert len(opened.renderers[Channels.COLOUR].views) == len(world.index.image_names)
+    # Photos of both areas have no second place while that of the first is shown.
+    west, east = (set(area.views.tolist()) for area in world.index.areas)
+    assert set(read) <= west & east
+
+
+def test_no_area_is_closed_for_one_that_is_read_ahead(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(area_renderers, "BESIDE_VIEWS", 0.0)
+    world = replace(open_world(place / "world"), memory=150 * 0.0716)
+    opened = AreaRenderers(world, 96, (Channels.COLOUR,), Blending.UNSTRUCTURED, Quality.COARSE, 1)
+    open_areas = []
+    for needed, soon in ((0, 1), (0, 1), (1, 0)):
+        # Both do not fit: what is needed now is not closed for what may be needed.
+        opened.need([needed], soon=[soon])
+        open_areas.append(opened.open_areas)
+    assert open_areas == [(0,), (0,), (1,)]
 
 
 def test_both_rooms_open_are_one_light_field(place: Path) -> None:
