@@ -197,7 +197,9 @@ def _built_by(pool: Executor, tasks: Sequence[AreaTask], progress: Progress) -> 
         raise
     except Exception as error:
         # A process was killed, or a worker of a cluster has another lfnav, other files, no room.
-        _cancel(waiting)
+        if not isinstance(error, BrokenProcessPool):
+            # A broken pool ends by itself, and stumbles over futures that were cancelled meanwhile.
+            _cancel(waiting)
         names = ", ".join(task.name for number, task in enumerate(tasks) if number not in built)
         how = "was ended, for lack of memory perhaps"
         if not isinstance(error, BrokenProcessPool):
