@@ -25,7 +25,7 @@ from pipelines.render.renderer import Renderer
 
 # What is needed beside the views, megabytes: samples of depth maps, small views that are searched
 # among, and reading some views.
-BESIDE_VIEWS = 175.0
+BESIDE_VIEWS = 188.0
 # Areas with a photo so near to a place are rendered there; metres.
 NEAR = 1.0
 # What areas that are open at once may take where pictures are made for people; megabytes.
