@@ -15,7 +15,7 @@ from pipelines.geometry.pose import inverse
 from pipelines.reconstruct.alignment import MIN_PAIRS, Similarity, align_to_odometry
 from pipelines.reconstruct.colmap_model import NO_POINT, ColmapModel, ModelImage, ModelPoints
 from pipelines.reconstruct.connectivity import firm_pieces, restrict
-from pipelines.reconstruct.pose_graph import walked
+from pipelines.reconstruct.pose_graph import beside_nearest, walked
 
 # Metres from a placed image to one that odometry places: it is good to some centimetres there.
 LONE_WALK = 2.0
@@ -26,16 +26,11 @@ def moved(model: ColmapModel, similarity: Similarity) -> ColmapModel:
     poses = inverse(np.array([image.camera_from_world for image in model.images]))
     placed = inverse(similarity.transform_poses(poses))
     images = tuple(
-        ModelImage(image.identifier, image.name, image.camera, pose, image.keypoints, image.points)
+        replace(image, camera_from_world=pose)
         for image, pose in zip(model.images, placed, strict=True)
     )
-    points = model.points
-    positions = similarity.transform_points(points.positions)
-    return ColmapModel(
-        model.cameras,
-        images,
-        ModelPoints(points.identifiers, positions, points.colors, points.errors, points.tracks),
-    )
+    positions = similarity.transform_points(model.points.positions)
+    return replace(model, images=images, points=replace(model.points, positions=positions))
 
 
 def firm_parts(model: ColmapModel) -> list[ColmapModel]:
@@ -87,13 +82,11 @@ def lone_images(
         return ()
     poses, walks = _beside(placed, [image.name for image in left], odometry)
     return tuple(
-        ModelImage(
-            image.identifier,
-            image.name,
-            image.camera,
-            camera_from_world,
-            np.empty((0, 2)),
-            np.empty(0, dtype=np.int64),
+        replace(
+            image,
+            camera_from_world=camera_from_world,
+            keypoints=np.empty((0, 2)),
+            points=np.empty(0, dtype=np.int64),
         )
         for image, camera_from_world, walk in zip(left, inverse(poses), walks, strict=True)
         if walk <= LONE_WALK
@@ -110,15 +103,12 @@ def _beside(
     order = {name: row for row, name in enumerate(odometry)}
     own = np.array(list(odometry.values()))
     path = walked(own)
-    poses = {order[image.name]: inverse(image.camera_from_world) for image in placed.images}
-    rows = np.array(list(poses))
-    found, walks = [], []
-    for name in names:
-        row = order[name]
-        nearest = int(rows[np.argmin(np.abs(rows - row))])
-        found.append(poses[nearest] @ inverse(own[nearest]) @ own[row])
-        walks.append(abs(path[row] - path[nearest]))
-    return np.array(found), np.array(walks)
+    poses = inverse(np.array([image.camera_from_world for image in placed.images]))
+    rows = np.array([order[name] for name in names])
+    found, nearest = beside_nearest(
+        poses, np.array([order[image.name] for image in placed.images]), own, rows
+    )
+    return found, np.abs(path[rows] - path[nearest])
 
 
 def joined(parts: list[ColmapModel]) -> ColmapModel:
@@ -130,16 +120,7 @@ def joined(parts: list[ColmapModel]) -> ColmapModel:
         shift = last_identifier
         for image in part.images:
             points = np.where(image.points == NO_POINT, NO_POINT, image.points + shift)
-            images.append(
-                ModelImage(
-                    image.identifier,
-                    image.name,
-                    image.camera,
-                    image.camera_from_world,
-                    image.keypoints,
-                    points,
-                )
-            )
+            images.append(replace(image, points=points))
         identifiers.append(part.points.identifiers + shift)
         last_identifier += int(part.points.identifiers.max(initial=0))
         tracks.append(part.points.tracks + np.array([rows, 0, 0]))
