@@ -8,8 +8,9 @@ import numpy as np
 
 from pipelines.artifacts.stages import no_progress
 from pipelines.geometry.plane import plane_inverse_depth
+from pipelines.lightfield.depth_storage import as_stored
 from pipelines.lightfield.scene import Scene, SceneDepth
-from pipelines.lightfield.scene_file import as_stored, identified
+from pipelines.lightfield.scene_file import identified
 from pipelines.lightfield.stage import ModelSettings, build_scene
 from pipelines.reconstruct.reconstruction import Reconstruction, load_reconstruction
 from pipelines.reconstruct.stage import ReconstructSettings, reconstruct

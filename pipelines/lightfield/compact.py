@@ -4,8 +4,8 @@ Localization samples photos of 320 pixels a side and docking ones of 640. Dockin
 pixels more than their quality: with sharper colours in 320 or 480 pixels it ends farther from the
 goal. So photos are undistorted, as all renderers use them, area-averaged to the size of docking
 and stored as WebP of low quality; depth maps are reduced to the size of localization, quantised
-more coarsely, and predicted within themselves (``scene_file.differences_of``). What that costs is
-measured in ``docs/rendering.md``.
+more coarsely, and predicted within themselves (``depth_storage.differences_of``). What that costs
+is measured in ``docs/rendering.md``.
 """
 
 import math
@@ -20,8 +20,9 @@ from pipelines.artifacts.processes import in_threads
 from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.dataset.webp import decode_webp, encode_webp
 from pipelines.geometry.camera import Camera, Intrinsics, Undistorter
+from pipelines.lightfield.depth_storage import COMPACT_LEVELS, as_stored
 from pipelines.lightfield.scene import Compaction, Scene, SceneDepth
-from pipelines.lightfield.scene_file import COMPACT_LEVELS, as_stored, identified
+from pipelines.lightfield.scene_file import identified
 from pipelines.lightfield.views import shrink, shrunk_depth, shrunk_size
 
 STORAGES = ("full", "compact")

@@ -27,9 +27,9 @@ from pipelines.dataset.images import decode_depth, read_image_bytes
 from pipelines.geometry.camera import Intrinsics, Undistorter
 from pipelines.geometry.plane import plane_inverse_depth
 from pipelines.lightfield.depth_filtering import refine_depth_maps
+from pipelines.lightfield.depth_storage import as_stored
 from pipelines.lightfield.packed_depth import PackedDepthMaps
 from pipelines.lightfield.scene import SceneDepth
-from pipelines.lightfield.scene_file import as_stored
 from pipelines.lightfield.stereo_depth import (
     DepthMap,
     DepthSettings,

@@ -15,6 +15,7 @@ from pipelines.geometry.camera import Camera
 from pipelines.geometry.plane import Plane
 from pipelines.lightfield.area_map import AreaMap
 from pipelines.lightfield.area_recognition import AreaRecognition
+from pipelines.lightfield.depth_storage import Depths
 from pipelines.lightfield.free_ground import FreeGround
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_part, load_scene
@@ -105,12 +106,15 @@ class OpenWorld:
         """Width and height of the cameras' largest photos, pixels."""
         return max(c.width for c in self.cameras), max(c.height for c in self.cameras)
 
-    def scenes(self, area: int, photos: Sequence[int]) -> Iterator[tuple[tuple[int, ...], Scene]]:
+    def scenes(
+        self, area: int, photos: Sequence[int], depths: Depths = Depths.ALL
+    ) -> Iterator[tuple[tuple[int, ...], Scene]]:
         """Reads photos from an area's file, a few at a time.
 
         Args:
             area: its number.
             photos: their numbers in the world; the area holds them.
+            depths: what is read of their depth maps.
 
         Yields:
             The numbers of some of them, and a scene of these.
@@ -122,7 +126,7 @@ class OpenWorld:
         path = area_path(self.path, self.index.areas[area].name)
         for start in range(0, len(photos), TOGETHER):
             part = slice(start, start + TOGETHER)
-            yield tuple(photos[part]), load_part(path, rows[part].tolist())
+            yield tuple(photos[part]), load_part(path, rows[part].tolist(), depths)
 
     def light_field(self, photos: Sequence[int]) -> Scene:
         """One scene of some photos, each as in the area in which it is at home.

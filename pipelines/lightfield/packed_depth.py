@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pipelines.artifacts.arrays import BoolArray
 from pipelines.geometry.camera import Intrinsics
-from pipelines.lightfield.scene_file import quantised
+from pipelines.lightfield.depth_storage import quantised
 from pipelines.lightfield.stereo_depth import DepthMap
 
 

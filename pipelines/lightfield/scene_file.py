@@ -8,25 +8,22 @@ unknown) and ``depth/000000/confident``. Without a plane also the free ground: `
 ``ground/corner`` and ``ground/cell``.
 
 A scene in compact storage holds WebP files as its photos, and of depth maps, in the place of
-``inverse``, its ``differences`` (``differences_of``) and, in the place of ``confident``, its bits,
+``inverse``, its ``differences`` (``depth_storage``) and, in the place of ``confident``, its bits,
 eight pixels a byte, row by row.
 
 A scene without a plane, or in compact storage, is written as schema 2, any other one as schema 1.
 """
 
 import hashlib
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
-from numpy.typing import NDArray
 
 from pipelines.artifacts.arguments import PathLike, checked_instance, checked_path
-from pipelines.artifacts.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from pipelines.artifacts.arrays import FloatArray, IntArray
 from pipelines.artifacts.errors import InputError, OptionError, reason_of
 from pipelines.artifacts.json_fields import JsonFields
 from pipelines.artifacts.kinds import refuse_world
@@ -44,13 +41,12 @@ from pipelines.dataset.webp import check_webp, webp_header
 from pipelines.geometry.camera import Camera, camera_from_dict
 from pipelines.geometry.plane import Plane, plane_from_coefficients
 from pipelines.geometry.pose import are_rigid
+from pipelines.lightfield.depth_storage import Depths, read_depth, write_depth
 from pipelines.lightfield.free_ground import FreeGround
 from pipelines.lightfield.scene import Compaction, PlaneEstimate, Scene, SceneDepth
 
 FORMAT = "lfnav scene"
 SCHEMA_VERSION = 2
-# Inverse depth is stored in at most so many levels.
-FULL_LEVELS, COMPACT_LEVELS = 65535, 1023
 MAX_IMAGE_BYTES = 256 * 1024 * 1024
 # What JSON of another structure than expected leads to.
 _MALFORMED = (KeyError, TypeError, ValueError, AttributeError, OverflowError, OptionError)
@@ -93,7 +89,7 @@ def save_scene(
         for index, data in enumerate(scene.encoded_images):
             write_array(file, f"images/{index:06d}", np.frombuffer(data, dtype=np.uint8))
         for index, depth in enumerate(scene.depth):
-            _write_depth(file, f"depth/{index:06d}", depth, is_full)
+            write_depth(file, f"depth/{index:06d}", depth, is_full)
 
 
 def load_scene(path: PathLike) -> Scene:
@@ -116,12 +112,13 @@ def load_scene(path: PathLike) -> Scene:
     return scene
 
 
-def load_part(path: Path, views: Sequence[int]) -> Scene:
+def load_part(path: Path, views: Sequence[int], depths: Depths = Depths.ALL) -> Scene:
     """Reads some views of a scene model, and no more of the file than these need.
 
     Args:
         path: the file.
         views: their numbers, from 0.
+        depths: what is read of their depth maps.
 
     Returns:
         A scene of these views, in their order, with the identifier of the whole. That the whole is
@@ -132,20 +129,23 @@ def load_part(path: Path, views: Sequence[int]) -> Scene:
             contents that contradict each other.
         StageError: in compact storage, and Pillow was built without WebP.
     """
-    return _read(path, views)
+    return _read(path, views, depths)
 
 
-def _read(path: Path, views: Sequence[int] | None = None) -> Scene:
+def _read(path: Path, views: Sequence[int] | None = None, depths: Depths = Depths.ALL) -> Scene:
     """The scene in a file, or some of its views, checked but for the identifier."""
     with open_hdf5(path) as file:
         check_schema(file, FORMAT, SCHEMA_VERSION)
         description = file.read_json("scene")
         try:
-            scene = _scene_of(file, description, views)
+            scene = _scene_of(file, description, views, depths)
+            has_surface = scene.surface is not None or file.has("depth")
         except _MALFORMED as error:
             raise InputError(
                 path, f"has contents that are no scene ({reason_of(error)})"
             ) from error
+    if not has_surface:
+        raise InputError(path, "holds neither a plane nor depth maps")
     _check(path, scene)
     return scene
 
@@ -172,25 +172,6 @@ def scene_identifier(path: Path) -> str:
     with open_hdf5(path) as file:
         check_schema(file, FORMAT, SCHEMA_VERSION)
         return JsonFields(path, file.read_json("scene")).get("identifier", str)
-
-
-def quantised(
-    inverse_depth: Float32Array, most: int = FULL_LEVELS
-) -> tuple[NDArray[np.uint16], float]:
-    """Inverse depth in levels of at most ``most``, and the factor that makes 1 / metres of them.
-
-    The factor is a power of two: what was read is written again as the same bytes.
-    """
-    scale = 2.0 ** math.ceil(math.log2(max(float(inverse_depth.max()), 1e-9) / most))
-    return np.rint(inverse_depth / scale).astype(np.uint16), scale
-
-
-def as_stored(
-    inverse_depth: Float32Array, confident: BoolArray, most: int = FULL_LEVELS
-) -> SceneDepth:
-    """A depth map rounded to what the file keeps of it, in levels of at most ``most``."""
-    levels, scale = quantised(inverse_depth, most)
-    return SceneDepth((levels * scale).astype(np.float32), confident)
 
 
 def identifier_of(
@@ -235,19 +216,6 @@ def identified(scene: Scene) -> Scene:
     return replace(scene, identifier=identifier)
 
 
-def _write_depth(file: h5py.File, group: str, depth: SceneDepth, is_full: bool) -> None:
-    levels, scale = quantised(depth.inverse_depth, FULL_LEVELS if is_full else COMPACT_LEVELS)
-    if is_full:
-        write_array(file, f"{group}/inverse", levels, compress=True)
-    else:
-        write_array(file, f"{group}/differences", differences_of(levels), compress=True)
-    write_array(file, f"{group}/scale", np.float64(scale))
-    if is_full:
-        write_array(file, f"{group}/confident", depth.confident, compress=True)
-    else:
-        write_array(file, f"{group}/confident_bits", np.packbits(depth.confident), compress=True)
-
-
 def _description(scene: Scene) -> dict[str, Any]:
     description = {
         "image_names": list(scene.image_names),
@@ -277,7 +245,9 @@ def _surface_description(surface: PlaneEstimate) -> dict[str, Any]:
     }
 
 
-def _scene_of(file: SafeFile, description: Any, part: Sequence[int] | None = None) -> Scene:
+def _scene_of(
+    file: SafeFile, description: Any, part: Sequence[int] | None, depths: Depths
+) -> Scene:
     """The scene in a file, or a part of its views."""
     names = tuple(str(name) for name in description["image_names"])
     count = len(names)
@@ -307,7 +277,7 @@ def _scene_of(file: SafeFile, description: Any, part: Sequence[int] | None = Non
         bounds=file.read_array("bounds", dtype_kind="f", shape=(4,)),
         scale_source=str(description["scale_source"]),
         identifier=str(description["identifier"]),
-        depth=_depth_of(file, views, compaction is None),
+        depth=_depth_of(file, views, compaction is None, depths),
         ground=_ground_of(file),
         compaction=compaction,
     )
@@ -350,34 +320,13 @@ def _compaction_of(stored: Any) -> Compaction | None:
     return found
 
 
-def _depth_of(file: SafeFile, views: Sequence[int], is_full: bool) -> tuple[SceneDepth, ...]:
+def _depth_of(
+    file: SafeFile, views: Sequence[int], is_full: bool, depths: Depths
+) -> tuple[SceneDepth, ...]:
     """The depth maps of views; none where the file has none."""
-    if not file.has("depth"):
+    if depths is Depths.NONE or not file.has("depth"):
         return ()
-    maps = []
-    for view in views:
-        group = f"depth/{view:06d}"
-        levels, confident = _levels_of(file, group, is_full)
-        scale = float(file.read_array(f"{group}/scale", dtype_kind="f", shape=()))
-        if not (np.isfinite(scale) and scale > 0.0) or levels.size == 0 or not levels.any():
-            raise InputError(file.path, f"{group} holds no depth")
-        maps.append(SceneDepth((levels * scale).astype(np.float32), confident))
-    return tuple(maps)
-
-
-def _levels_of(file: SafeFile, group: str, is_full: bool) -> tuple[NDArray[np.uint16], BoolArray]:
-    """Levels of inverse depth and where they are confident, both ``(h, w)``."""
-    if is_full:
-        levels = file.read_array(f"{group}/inverse", dtype_kind="u", shape=(None, None))
-        return levels, file.read_array(f"{group}/confident", dtype_kind="b", shape=levels.shape)
-    stored = file.read_array(f"{group}/differences", dtype_kind="u", shape=(None, None))
-    if stored.dtype != np.uint16:
-        raise InputError(file.path, f"{group}/differences has type {stored.dtype}, not uint16")
-    bits = file.read_array(f"{group}/confident_bits", dtype_kind="u", shape=(-(-stored.size // 8),))
-    if bits.dtype != np.uint8:
-        raise InputError(file.path, f"{group}/confident_bits has type {bits.dtype}, not uint8")
-    confident = np.unpackbits(bits, count=stored.size).reshape(stored.shape)
-    return levels_of(stored), confident.astype(np.bool_)
+    return tuple(read_depth(file, f"depth/{view:06d}", is_full, depths) for view in views)
 
 
 def _stored_plane(coefficients: Any) -> Plane:
@@ -393,8 +342,6 @@ def _check(path: Path, scene: Scene) -> None:
     """What must hold before a renderer may index into the arrays."""
     if len(scene) == 0:
         raise InputError(path, "holds no views")
-    if scene.surface is None and not scene.depth:
-        raise InputError(path, "holds neither a plane nor depth maps")
     if not scene.cameras or np.any(
         (scene.camera_index < 0) | (scene.camera_index >= len(scene.cameras))
     ):
@@ -424,27 +371,3 @@ def _finite_or_none(value: float) -> float | None:
 
 def _or_infinite(value: float | None) -> float:
     return float("inf") if value is None else float(value)
-
-
-def differences_of(levels: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """What a plane through the pixels on the left, above and diagonally above fails to predict.
-
-    On surfaces that are flat in space inverse depth is linear in the image, so that nearly all
-    that is left is small. Signs alternate (0, -1, 1, -2, ...) so that small numbers have small
-    bytes; arithmetic is modulo 2^16 and loses nothing.
-
-    Args:
-        levels: ``(h, w)``.
-
-    Returns:
-        ``(h, w)``; ``levels_of`` turns it back.
-    """
-    zero = np.uint16(0)
-    signed = np.diff(np.diff(levels, axis=0, prepend=zero), axis=1, prepend=zero).view(np.int16)
-    return ((signed << 1) ^ (signed >> 15)).view(np.uint16)
-
-
-def levels_of(differences: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """The levels ``(h, w)`` of which ``differences_of`` made these."""
-    wrapped = (differences >> 1) ^ (np.uint16(0) - (differences & 1))
-    return np.cumsum(np.cumsum(wrapped, axis=1, dtype=np.uint16), axis=0, dtype=np.uint16)

@@ -15,6 +15,7 @@ from threading import Event
 
 from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.artifacts.errors import OptionError
+from pipelines.lightfield.depth_storage import Depths
 from pipelines.lightfield.open_world import OpenWorld
 from pipelines.lightfield.size_budget import view_bytes
 from pipelines.lightfield.view_arena import ViewArena
@@ -48,7 +49,7 @@ class RecordedViews(Views):
         """``(height, width, 3)`` RGB of one pyramid level of one view."""
         photo, area = self.keys[view]
         side = int(self.arrays.level_size[view, 0].max())
-        _, scene = next(self.world.scenes(area, [photo]))
+        _, scene = next(self.world.scenes(area, [photo], Depths.NONE))
         return views_of_scene(scene, side).level(0, level)
 
 
@@ -254,7 +255,8 @@ def _read(
         InputError: an area's file is damaged.
     """
     for area in dict.fromkeys(area for _, area in keys):
-        for photos, scene in world.scenes(area, [photo for photo, of in keys if of == area]):
+        own = [photo for photo, of in keys if of == area]
+        for photos, scene in world.scenes(area, own, Depths.VALUES):
             colours = views_of_scene(scene, side)
             kinds = [views_in_channels(colours, channel) for channel in channels]
             for number, photo in enumerate(photos):

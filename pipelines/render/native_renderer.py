@@ -37,7 +37,7 @@ from pipelines.render.comparison import (
     PreparedQuery,
 )
 from pipelines.render.delaunay_mesh import MESH_LIMITS
-from pipelines.render.depth_samples import DepthSamples, take_samples
+from pipelines.render.depth_samples import DepthSamples, joined_samples, take_samples
 from pipelines.render.reference import SMALLEST_WEIGHT, frustum_positions
 from pipelines.render.sample_store import SampleStore
 from pipelines.render.surface import (
@@ -133,7 +133,7 @@ class NativeRenderer:
             has_mesh=blending is Blending.DELAUNAY,
             mesh=MESH_LIMITS,
         )
-        self._samples = SampleStore(arrays, partial(take_samples, arrays))
+        self._samples = SampleStore(arrays, partial(take_samples, arrays), joined_samples)
 
     def surfaces(self, poses: FloatArray, intrinsics: Intrinsics) -> Surfaces:
         """What the surfaces seen by virtual cameras are made of.

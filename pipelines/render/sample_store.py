@@ -40,10 +40,16 @@ class SampleStore(Generic[Samples]):
         views: the light field.
         take: takes the samples of some views. Its arguments: ``(N,)`` which views, and ``(N,)``
             steps from one sample to the next in pixels of the depth maps.
+        join: makes one of samples of some views and those of others, of the same steps.
     """
 
-    def __init__(self, views: ViewArrays, take: Callable[[BoolArray, FloatArray], Samples]) -> None:
-        self._views, self._take = views, take
+    def __init__(
+        self,
+        views: ViewArrays,
+        take: Callable[[BoolArray, FloatArray], Samples],
+        join: Callable[[Samples, Samples], Samples],
+    ) -> None:
+        self._views, self._take, self._join = views, take, join
         self._most = max(MOST_SAMPLES, int(views.depth_size.prod(axis=1).sum()) // DEPTHS_A_SAMPLE)
         self._kept: dict[tuple[float, float], _Kept[Samples]] = {}
 
@@ -62,9 +68,13 @@ class SampleStore(Generic[Samples]):
         steps = sample_steps(self._views, focal, spacing)
         counts = (-(-PIXEL_PARTS * self._views.depth_size // steps[:, None])).prod(axis=1)
         wanted = is_source if kept is None else is_source | kept.is_source
-        if counts[wanted].sum() > self._most:
+        if kept is None or counts[wanted].sum() > self._most:
             wanted = is_source
-        found = self._take(wanted, steps / PIXEL_PARTS)
+            found = self._take(wanted, steps / PIXEL_PARTS)
+        else:
+            # A camera that moves on meets a new view now and then: only that one is sampled.
+            found = self._take(is_source & ~kept.is_source, steps / PIXEL_PARTS)
+            found = self._join(kept.samples, found)
         self._keep(kind, _Kept(wanted, found, int(counts[wanted].sum())))
         return found
 

@@ -14,9 +14,10 @@ from pipelines.dock.robots.choice import RobotOptions, robot_named
 from pipelines.dock.robots.noise import SensorNoise
 from pipelines.geometry.pose import world_from_base_planar
 from pipelines.lightfield.area_recognition import learn_recognition
+from pipelines.lightfield.depth_storage import as_stored
 from pipelines.lightfield.recorded_paths import recorded_paths
 from pipelines.lightfield.scene import Scene
-from pipelines.lightfield.scene_file import as_stored, identified, save_scene
+from pipelines.lightfield.scene_file import identified, save_scene
 from pipelines.lightfield.world_file import World, WorldArea, area_path, save_index
 from tests.room_samples import HIGH, PARTITION_X, seen
 from tests.two_room_samples import MOUNT, two_rooms

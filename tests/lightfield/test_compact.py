@@ -24,12 +24,10 @@ from pipelines.dataset.webp import encode_webp, webp_header
 from pipelines.geometry.camera import Camera
 from pipelines.lightfield.colmap_export import export_scene_to_colmap
 from pipelines.lightfield.compact import DEPTH_SIDE, PHOTO_SIDE, compact_scene
+from pipelines.lightfield.depth_storage import as_stored, differences_of, levels_of
 from pipelines.lightfield.description import describe_scene
 from pipelines.lightfield.scene import Scene, SceneDepth
 from pipelines.lightfield.scene_file import (
-    as_stored,
-    differences_of,
-    levels_of,
     load_scene,
     save_scene,
 )

@@ -10,9 +10,10 @@ import pytest
 from pipelines.dataset.images import encode_png
 from pipelines.geometry.camera import Camera
 from pipelines.geometry.plane import plane_from_coefficients
+from pipelines.lightfield.depth_storage import as_stored
 from pipelines.lightfield.description import describe_scene
 from pipelines.lightfield.scene import PlaneEstimate, Scene
-from pipelines.lightfield.scene_file import as_stored, identifier_of, load_scene, save_scene
+from pipelines.lightfield.scene_file import identifier_of, load_scene, save_scene
 from pipelines.lightfield.size_budget import LOCALIZE_SIDE, RESOLUTIONS, SizeBudget, size_budget
 from pipelines.lightfield.views import views_of_scene
 from tests.lightfield_samples import looking

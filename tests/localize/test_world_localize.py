@@ -12,6 +12,7 @@ import pytest
 
 from pipelines.artifacts.errors import InputError, OptionError
 from pipelines.dataset.images import decode_image
+from pipelines.lightfield.depth_storage import Depths
 from pipelines.lightfield.open_world import OpenWorld, open_world
 from pipelines.localize import area_search
 from pipelines.localize.evaluation import evaluate_run
@@ -131,9 +132,9 @@ def test_what_was_read_ahead_is_not_read_again(
     read: list[int] = []
     scenes = OpenWorld.scenes
 
-    def noted(self: OpenWorld, area: int, photos: Sequence[int]) -> Iterator[Any]:
+    def noted(self: OpenWorld, area: int, photos: Sequence[int], depths: Depths) -> Iterator[Any]:
         read.extend(photos)
-        return scenes(self, area, photos)
+        return scenes(self, area, photos, depths)
 
     monkeypatch.setattr(OpenWorld, "scenes", noted)
     opened.need([0, 1])

@@ -7,7 +7,7 @@ from pipelines.artifacts.arrays import BoolArray, FloatArray
 from pipelines.lightfield.views import Views, build_views
 from pipelines.render import sample_store
 from pipelines.render.choices import Quality
-from pipelines.render.depth_samples import BATCH, BATCHES, take_samples
+from pipelines.render.depth_samples import BATCH, BATCHES, joined_samples, take_samples
 from pipelines.render.renderer import Renderer
 from pipelines.render.sample_store import SampleStore
 from tests.lightfield_samples import WALL, looking, noise_views, pinhole
@@ -42,16 +42,27 @@ def marked(*views: int) -> BoolArray:
 
 def store() -> SampleStore[tuple[BoolArray, FloatArray]]:
     """A store of samples that are named by the views they are of and their steps."""
-    return SampleStore(VIEWS.arrays, lambda views, steps: (views.copy(), steps))
+    return SampleStore(
+        VIEWS.arrays,
+        lambda views, steps: (views.copy(), steps),
+        lambda some, others: (some[0] | others[0], others[1]),
+    )
 
 
 def test_views_are_added_to_what_is_kept() -> None:
-    kept = store()
+    taken = []
+
+    def take(views: BoolArray, steps: FloatArray) -> tuple[BoolArray, FloatArray]:
+        taken.append(np.flatnonzero(views).tolist())
+        return views.copy(), steps
+
+    kept = SampleStore(VIEWS.arrays, take, lambda some, others: (some[0] | others[0], others[1]))
     first = kept(marked(1, 4), FOCAL, SPACING)
     assert kept(marked(4), FOCAL, SPACING) is first
     more = kept(marked(2), FOCAL, SPACING)
     np.testing.assert_array_equal(more[0], marked(1, 2, 4))
     assert kept(marked(1, 2, 4), FOCAL, SPACING) is more
+    assert taken == [[1, 4], [2]]
     # Other vertices, other samples.
     np.testing.assert_allclose(kept(marked(1), FOCAL, 9.0)[1] / more[1], 3.0, rtol=0.01)
 
@@ -107,6 +118,21 @@ def test_samples_are_those_of_the_depth_maps(step: float) -> None:
         assert {tuple(sample) for sample in found.tolist()} == expected
         # None twice, but those that fill up the last batch.
         assert len(found) == -(-len(expected) // BATCH) * BATCH
+
+
+def test_joined_samples_are_those_of_each_view() -> None:
+    views, steps = VIEWS.arrays, np.full(6, 1.7)
+    some = take_samples(views, marked(2, 4), steps)
+    joined = joined_samples(some, take_samples(views, marked(0, 3), steps))
+    together = take_samples(views, marked(0, 2, 3, 4), steps)
+    assert joined.boxes.shape == together.boxes.shape
+    for view in range(6):
+        own, expected = (
+            slice(int(samples.starts[view]), int(samples.ends[view]))
+            for samples in (joined, together)
+        )
+        np.testing.assert_array_equal(joined.values[own], together.values[expected])
+        np.testing.assert_array_equal(joined.boxes[:, own], together.boxes[:, expected])
 
 
 def test_costs_do_not_depend_on_what_was_asked_before() -> None:
