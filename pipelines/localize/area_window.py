@@ -55,9 +55,10 @@ class AreaWindow:
         sizes = np.array([len(area.views) for area in world.index.areas])
         # A world that fits is there from the first image on, as a scene is; of a larger one nobody
         # knows yet where to begin.
-        self._areas.need(
-            range(len(sizes)) if self._areas.fits_as_a_whole else [int(np.argmax(sizes))]
-        )
+        if self._areas.fits_as_a_whole:
+            self._areas.open_all()
+        else:
+            self._areas.need([int(np.argmax(sizes))])
         if self._areas.colours is None:
             raise StageError("no area is open")
         self.model = MeasurementModel(

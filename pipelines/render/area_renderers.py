@@ -3,7 +3,9 @@
 It is one light field of the views of all open areas, so that a border between two of them is none
 for what is rendered there. A photo that several areas hold is taken once, from the area in which it
 is at home where that one is open. Areas are opened when they are needed, and closed when their
-places are: first the one that has not been needed for longest.
+places are: first the one that has not been needed for longest. Where there are places for all of
+the world, all is read once, and areas that were not needed for some time are no longer open: photos
+on the other side of a wall show nothing, but each has to be asked whether it does.
 """
 
 import math
@@ -29,6 +31,8 @@ from pipelines.render.renderer import Renderer
 BESIDE_VIEWS = 188.0
 # Areas with a photo so near to a place are rendered there; metres.
 NEAR = 1.0
+# Where all views have places, an area is open for so many requests after the last that needed it.
+KEPT_OPEN = 10
 # What areas that are open at once may take where pictures are made for people; megabytes.
 AT_ONCE_MEGABYTES = 4000.0
 
@@ -96,6 +100,8 @@ class AreaRenderers:
         self._blending, self._quality, self._threads = blending, quality, threads
         self._places = _places_within_budget(world, side, len(self._channels), reserved)
         self._arena = ViewArena(self._places, side, len(self._channels))
+        whole = self._taken_from(range(len(world.index.areas)))
+        self._whole = whole if len(whole) <= self._places else None
         self._open: tuple[int, ...] = ()
         self._needed_at: dict[int, int] = {}
         self._requests = 0
@@ -115,7 +121,11 @@ class AreaRenderers:
     @property
     def fits_as_a_whole(self) -> bool:
         """Whether all areas may be open at once."""
-        return self._fit(range(len(self.world.index.areas)))
+        return self._whole is not None
+
+    def open_all(self) -> None:
+        """Opens all areas of a world that fits as a whole; none of them is needed by that."""
+        self._arrange(tuple(range(len(self.world.index.areas))))
 
     def need(self, areas: Iterable[int], soon: Iterable[int] = ()) -> bool:
         """Opens areas, and closes others where memory is short.
@@ -139,10 +149,7 @@ class AreaRenderers:
         for area in soon:
             if area not in wanted and self._fit([*wanted, *ahead, area]):
                 ahead.append(area)
-        others = [area for area in self._open if area not in wanted]
-        for area in sorted(others, key=lambda other: -self._needed_at[other]):
-            if self._fit([*wanted, *ahead, area]):
-                wanted.append(area)
+        wanted += self._left_open(wanted, ahead)
         ahead = [area for area in ahead if area not in wanted]
         is_other = set(wanted) != set(self._open)
         if is_other:
@@ -150,6 +157,18 @@ class AreaRenderers:
         if ahead:
             self._read_ahead(ahead)
         return is_other
+
+    def _left_open(self, wanted: Sequence[int], ahead: Sequence[int]) -> list[int]:
+        """Areas that are open and stay so, beside those that are needed now or read ahead."""
+        latest = {area: self._needed_at.get(area, -KEPT_OPEN) for area in self._open}
+        others = sorted(latest.keys() - set(wanted), key=lambda area: (-latest[area], area))
+        if self._whole is not None and wanted:
+            return [area for area in others if self._requests - latest[area] < KEPT_OPEN]
+        left: list[int] = []
+        for area in others:
+            if self._fit([*wanted, *ahead, *left, area]):
+                left.append(area)
+        return left
 
     def finish_reading(self) -> None:
         """Waits until what is read ahead is there."""
@@ -170,10 +189,19 @@ class AreaRenderers:
 
     def _fit(self, areas: Sequence[int]) -> bool:
         """Whether the views of these areas have places for all of them at once."""
-        return len(self._sources(areas)) <= self._places
+        return self._whole is not None or len(self._sources(areas)) <= self._places
 
     def _sources(self, areas: Sequence[int]) -> dict[int, int]:
         """Photo -> the area from which it is taken while these areas are open."""
+        whole = self._whole
+        if whole is None:
+            return self._taken_from(areas)
+        # Not from another one than while all are open: then nothing is read twice.
+        views = [self.world.index.areas[area].views.tolist() for area in areas]
+        return {photo: whole[photo] for own in views for photo in own}
+
+    def _taken_from(self, areas: Sequence[int]) -> dict[int, int]:
+        """Photo -> the area in which it is at home, or else the last of these that hold it."""
         home = self.world.index.home
         sources: dict[int, int] = {}
         for area in sorted(areas):
@@ -193,7 +221,8 @@ class AreaRenderers:
         unused = sorted(set(self._arena.keys) - set(keys), key=lambda key: key not in was_shown)
         for key in unused:
             # What was read ahead stays while nothing else needs its place.
-            if key in was_shown or self._arena.free < len(missing):
+            is_closed = key in was_shown and self._whole is None
+            if is_closed or self._arena.free < len(missing):
                 self._arena.drop(key)
         _read(self.world, missing, self._arena, self._side, self._channels)
         self._open = areas

@@ -121,6 +121,38 @@ def test_areas_that_were_not_needed_for_longest_are_closed(
     assert opened.open_areas == (1,)
 
 
+def test_a_world_that_fits_is_read_once_and_shown_where_it_is_needed(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world = open_world(place / "world")
+    opened = AreaRenderers(world, 96, (Channels.COLOUR,), Blending.UNSTRUCTURED, Quality.COARSE, 1)
+    assert opened.fits_as_a_whole
+    opened.open_all()
+    open_areas = [opened.open_areas]
+    together = opened.renderers[Channels.COLOUR].views
+    assert len(together) == len(world.index.image_names)
+    # Where nothing is needed nothing is closed.
+    assert not opened.need([])
+
+    def fail(*_: object) -> Iterator[Any]:
+        raise AssertionError("a photo was read again")
+
+    monkeypatch.setattr(OpenWorld, "scenes", fail)
+    assert opened.need([0])
+    alone = opened.renderers[Channels.COLOUR].views
+    photos = world.index.areas[0].views
+    np.testing.assert_array_equal(alone.centres, together.centres[photos])
+    for number, photo in enumerate(photos.tolist()):
+        # Also those that are at home in the other area.
+        np.testing.assert_array_equal(alone.depth_map(number), together.depth_map(photo))
+    assert opened.need([1])
+    # At a border an area that was just needed may be needed again.
+    open_areas.append(opened.open_areas)
+    changes = [opened.need([1]) for _ in range(area_renderers.KEPT_OPEN)]
+    assert changes.count(True) == 1
+    assert [*open_areas, opened.open_areas] == [(0, 1), (0, 1), (1,)]
+
+
 def test_what_was_read_ahead_is_not_read_again(
     place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
