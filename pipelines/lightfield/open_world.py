@@ -7,7 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from pipelines.artifacts.arguments import PathLike, checked_number, checked_path
+from pipelines.artifacts.arguments import (
+    PathLike,
+    checked_instance,
+    checked_number,
+    checked_path,
+)
 from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import InputError, OptionError
 from pipelines.artifacts.kinds import is_world
@@ -194,6 +199,15 @@ def scene_or_world(path: Path, memory: float | None) -> Scene | OpenWorld:
     if memory is not None:
         raise OptionError("--memory bounds what a world opens of its areas; a scene is one piece")
     return load_scene(path)
+
+
+def checked_scene(scene: object) -> Scene | OpenWorld:
+    """What was handed over as a scene, or as a world of several.
+
+    Raises:
+        OptionError: it is neither.
+    """
+    return scene if isinstance(scene, OpenWorld) else checked_instance(scene, "the scene", Scene)
 
 
 def _united_ground(outlines: Sequence[Scene]) -> FreeGround:

@@ -5,9 +5,8 @@ from pathlib import Path
 
 from pipelines.artifacts.errors import InputError
 from pipelines.artifacts.kinds import is_world
-from pipelines.lightfield.open_world import OpenWorld, open_world
+from pipelines.lightfield.open_world import OpenWorld, scene_or_world
 from pipelines.lightfield.scene import Scene
-from pipelines.lightfield.scene_file import load_scene
 from pipelines.localize.run import Run
 
 
@@ -40,7 +39,7 @@ def load_scene_of_run(
             f"is not there, but {run_path} was made with it",
             "say where the scene is now with --scene",
         )
-    scene = open_world(path) if is_world(path) else load_scene(path)
+    scene = scene_or_world(path, None)
     check_run_belongs_to(run, scene.identifier, run_path, path)
     return path, scene
 

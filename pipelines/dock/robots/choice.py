@@ -22,7 +22,7 @@ from pipelines.dock.robots.replay import ReplayRobot
 from pipelines.dock.robots.simulator import PathTracing, SimulatorRobot
 from pipelines.dock.robots.world_model import WorldModelRobot
 from pipelines.geometry.camera import Camera, Undistorter
-from pipelines.lightfield.open_world import OpenWorld
+from pipelines.lightfield.open_world import OpenWorld, checked_scene
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_scene
 from pipelines.lightfield.world_file import area_path, load_world
@@ -79,8 +79,7 @@ def robot_named(
         StageError: the simulator is not installed.
     """
     checked_instance(name, "robot", str)
-    if not isinstance(scene, OpenWorld):
-        checked_instance(scene, "the scene", Scene)
+    checked_scene(scene)
     checked_instance(options, "robot options", RobotOptions)
     checked_number(seed, "seed", 0, whole=True)
     kind, colon, rest = name.partition(":")
