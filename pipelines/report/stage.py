@@ -1,12 +1,10 @@
 """The stage ``report``: from a run and its scene to a folder with a page and figures."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from pipelines.artifacts.arguments import PathLike, check_fields, checked_instance, checked_path
-from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.atomic import atomic_folder, check_output
 from pipelines.artifacts.errors import InputError, LfnavError, OptionError
 from pipelines.artifacts.stages import Progress, no_progress
@@ -16,9 +14,8 @@ from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import scene_provenance
 from pipelines.localize.run import Run, load_run
 from pipelines.localize.scene_of_run import load_scene_of_run
-from pipelines.render.area_renderers import colour_renderers
 from pipelines.render.choices import Blending, Quality
-from pipelines.render.renderer import Renderer
+from pipelines.render.renderer_choice import renderers_of
 from pipelines.render.surface import quality_named
 from pipelines.report.animation import animation
 from pipelines.report.content import page_of
@@ -180,7 +177,9 @@ def _content(
     progress: Progress,
 ) -> Content:
     tracks = tracks_of(run, estimate)
-    maker = ViewMaker(run, _renderer_at(scene))
+    has_depth = bool(scene.depth) if isinstance(scene, Scene) else scene.has_depth
+    quality = quality_named(None, has_depth, Quality.FINE)
+    maker = ViewMaker(run, renderers_of(scene, MAX_PICTURE_SIDE, Blending.UNSTRUCTURED, quality))
     views = {}
     for index in progress(indices, "views", len(indices)):
         odometry = None if tracks.odometry_states is None else tracks.odometry_states[index]
@@ -199,16 +198,6 @@ def _content(
             points = obstacle_points(scene, top)
         around = replace(around, obstacles=points)
     return Content(run, tracks, around, views)
-
-
-def _renderer_at(scene: Scene | OpenWorld) -> Callable[[FloatArray], Renderer]:
-    """What says which renderer shows what is seen from a pose ``(4, 4)``."""
-    if isinstance(scene, Scene):
-        quality = quality_named(None, bool(scene.depth), Quality.FINE)
-        renderer = Renderer.of_scene(scene, MAX_PICTURE_SIDE, quality=quality)
-        return lambda _: renderer
-    quality = quality_named(None, scene.has_depth, Quality.FINE)
-    return colour_renderers(scene, MAX_PICTURE_SIDE, Blending.UNSTRUCTURED, quality)
 
 
 def _animation(content: Content, progress: Progress) -> bytes | None:
