@@ -47,6 +47,20 @@ class AreaMap:
         """The area ``(M,)`` in which each of the places ``(M, 2)``, metres, lies."""
         return np.asarray(self.home[self._tree.query(places)[1]], dtype=np.int64)
 
+    def beside(self, places: FloatArray, area: int, metres: float) -> BoolArray:
+        """Which of the places ``(M, 2)`` lie in an area or next to it, ``(M,)``.
+
+        Args:
+            places: metres.
+            area: its number.
+            metres: by so much its nearest photo may be farther than the nearest of all.
+        """
+        own = self.places[self.home == area]
+        if len(own) == 0:
+            return np.zeros(len(places), dtype=np.bool_)
+        nearest = self._tree.query(places)[0]
+        return np.asarray(scipy.spatial.cKDTree(own).query(places)[0] <= nearest + metres)
+
     def borders(self, places: FloatArray, metres: float) -> BoolArray:
         """Which areas places ``(M, 2)`` lie in or next to, ``(M, A)``.
 
@@ -54,12 +68,9 @@ class AreaMap:
             places: metres.
             metres: by so much the nearest photo of an area may be farther than that of the nearest.
         """
-        distances = np.full((len(places), len(self.names)), np.inf)
-        for area in np.unique(self.home).tolist():
-            own = self.places[self.home == area]
-            found = scipy.spatial.cKDTree(own).query(places)[0]
-            distances[:, area] = found
-        return np.asarray(distances <= distances.min(axis=1, keepdims=True) + metres)
+        return np.stack(
+            [self.beside(places, area, metres) for area in range(len(self.names))], axis=1
+        )
 
     def near(self, place: FloatArray, metres: float) -> IntArray:
         """Numbers of the areas with a photo taken so near to a place ``(2,)``, rising."""
