@@ -4,7 +4,6 @@ import os
 from pathlib import Path
 
 from pipelines.artifacts.errors import InputError
-from pipelines.artifacts.kinds import is_world
 from pipelines.lightfield.open_world import OpenWorld, scene_or_world
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.run import Run
@@ -33,7 +32,7 @@ def load_scene_of_run(
         InputError: it is not there, or unreadable, or the run was made with another one.
     """
     path = locate_scene(run, run_path) if given is None else given
-    if given is None and not (path.is_file() or is_world(path)):
+    if given is None and not path.exists():
         raise InputError(
             path,
             f"is not there, but {run_path} was made with it",

@@ -1,6 +1,7 @@
 """Worlds that somebody else made, half made or spoilt: one line says what is wrong."""
 
 import json
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -17,7 +18,7 @@ from pipelines.artifacts.safe_hdf5 import open_hdf5
 from pipelines.lightfield.area_map import AreaMap
 from pipelines.lightfield.stage import ModelSettings
 from pipelines.lightfield.world_file import _world_of
-from tests.chain_samples import succeed
+from tests.chain_samples import lfnav, succeed
 from tests.world_samples import FLOOR, TWO_ROOMS, rooms_reconstruction
 
 EAST = "areas/east.h5"
@@ -74,6 +75,79 @@ def refused(told: str, named: Path, reason: str) -> None:
     assert told.startswith(f"lfnav: {named}: ")
     assert reason in told
     assert told.count("\n") == 1
+
+
+# --- folders that are no whole world -------------------------------------------------------------
+
+
+def without_index(world: Path) -> Path:
+    (world / "world.h5").unlink()
+    return world
+
+
+def being_built(world: Path) -> Path:
+    return Path(shutil.move(world / "areas", world.parent / "other.areas-in-progress"))
+
+
+def index_alone(world: Path) -> Path:
+    return world / "world.h5"
+
+
+def some_folder(world: Path) -> Path:
+    return world / "areas"
+
+
+@pytest.mark.parametrize("command", ["render", "localize", "dock", "robot"])
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (without_index, "the world is not whole; make it again with lfnav model --areas"),
+        (being_built, "is a world that is being built; call the same lfnav model again to go on"),
+        (index_alone, "is the index of a world; name its folder"),
+        (some_folder, "is a folder without world.h5"),
+    ],
+)
+def test_what_is_no_whole_world_is_named(
+    made: Path, world: Path, spoil: Spoil, reason: str, command: str
+) -> None:
+    given, output = spoil(world), world.parent / "output"
+    robot = f"model:{given if command == 'robot' else made / 'world'}"
+    docked = ("dock", made / "world" if command == "robot" else given, "--dry-run")
+    told = lfnav(
+        *{
+            "render": ("render", given, "--pose", "0.5,0,0", "-o", output),
+            "localize": ("localize", given, made / "data", "-o", output),
+            "dock": (*docked, "--robot", robot, "--goal", "0,0,0"),
+            "robot": (*docked, "--robot", robot, "--goal", "0,0,0", "--true-start", "0,0,0"),
+        }[command]
+    )
+    assert told.code == 1
+    refused(told.err, given, reason)
+    assert not output.exists()
+
+
+def test_half_a_world_is_no_scene(world: Path) -> None:
+    told = lfnav("evaluate", without_index(world), "--leave-one-out")
+    assert told.code == 1
+    refused(told.err, world, "the world is not whole")
+
+
+def test_a_scene_may_be_called_as_an_index_is(world: Path, tmp_path: Path) -> None:
+    scene = Path(shutil.copy(world / EAST, tmp_path / "world.h5"))
+    assert json.loads(succeed("info", scene, "--json"))["views"] > 0
+
+
+@pytest.mark.parametrize("target", ["/dev/zero", "east.h5", "/", "fifo", "/etc/hostname"])
+def test_links_out_of_the_folder_are_read_as_scenes_alone(world: Path, target: str) -> None:
+    path = world / EAST
+    path.unlink()
+    if target == "fifo":
+        os.mkfifo(path)
+    else:
+        path.symlink_to(target)
+    told = lfnav("info", world)
+    assert told.code == 1
+    refused(told.err, path, "is ")
 
 
 # --- which place belongs to which area -----------------------------------------------------------

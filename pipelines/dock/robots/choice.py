@@ -12,6 +12,7 @@ import numpy as np
 from pipelines.artifacts.arguments import check_fields, checked_instance, checked_number
 from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import InputError, OptionError, quoted
+from pipelines.artifacts.kinds import is_world
 from pipelines.dataset.camera_file import read_camera_file
 from pipelines.dataset.dataset import CAMERA_FILE, load_dataset
 from pipelines.dock.robot import CheckedRobot, Robot, RobotError
@@ -105,7 +106,7 @@ def _simulated(
     motion = SimulatedMotion(state, options.motion, moving)
     if kind == "replay":
         return ReplayRobot(load_dataset(path), motion)
-    if kind == "model" and path.is_dir():
+    if kind == "model" and is_world(path):
         index = load_world(path)
         first = load_part(area_path(path, index.areas[0].name), [0])
         return WorldModelRobot(
