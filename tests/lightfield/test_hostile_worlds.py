@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pipelines.artifacts.errors import OptionError
+from pipelines.artifacts.errors import InputError, OptionError
 from pipelines.artifacts.json_fields import JsonFields
 from pipelines.artifacts.safe_hdf5 import open_hdf5
 from pipelines.lightfield.area_map import AreaMap
+from pipelines.lightfield.open_world import open_world
 from pipelines.lightfield.stage import ModelSettings
 from pipelines.lightfield.world_file import _world_of
 from tests.chain_samples import lfnav, succeed
@@ -148,6 +149,89 @@ def test_links_out_of_the_folder_are_read_as_scenes_alone(world: Path, target: s
     told = lfnav("info", world)
     assert told.code == 1
     refused(told.err, path, "is ")
+
+
+# --- an index that was made to do harm -----------------------------------------------------------
+
+
+def of_area(**fields: object) -> Callable[[Path], None]:
+    return lambda world: described(
+        world / "world.h5", "world", lambda d: d["areas"][0].update(fields)
+    )
+
+
+def of_index(name: str, change: Callable[[NDArray[Any]], NDArray[Any]]) -> Callable[[Path], None]:
+    return lambda world: changed(world / "world.h5", name, change)
+
+
+def far_away(poses: NDArray[Any]) -> NDArray[Any]:
+    poses[0, 0, 3] = 1e300
+    return poses
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (of_area(file_bytes=10**400), "areas[0].file_bytes is out of range"),
+        (of_area(memory_bytes=-1), "areas[0].memory_bytes is out of range"),
+        (of_area(name="x" * 10_000), "cannot be that of a file"),
+        (of_area(name="a\nb"), "cannot be that of a file"),
+        (of_area(neighbours=["y" * 10_000]), "names a neighbour that there is not"),
+        (of_area(identifier="\n\x1b" * 5_000), "was changed after it was written"),
+        (of_index("world_from_camera", far_away), "holds a pose more than 1e+08 m away"),
+        (of_index("home", lambda home: 0 * home - 1), "holds no photo that is at home in an area"),
+        (
+            of_index("areas/0000/views", lambda v: v + 10**6),
+            "names something that it does not hold",
+        ),
+    ],
+)
+def test_an_index_of_nonsense_is_refused(
+    world: Path, spoil: Callable[[Path], None], reason: str
+) -> None:
+    spoil(world)
+    told = lfnav("info", world)
+    assert told.code == 1
+    refused(told.err, world / "world.h5", reason)
+
+
+@pytest.mark.parametrize("name", ["areas/0000/views", "links", "retrieval/photos"])
+def test_an_index_that_declares_terabytes_is_refused(world: Path, name: str) -> None:
+    path = world / "world.h5"
+    with h5py.File(path, "r+") as file:
+        shape, kind = (10**13, *file[name].shape[1:]), file[name].dtype
+        del file[name]
+        file.create_dataset(name, shape=shape, dtype=kind, chunks=True, fletcher32=True)
+    with pytest.raises(InputError, match="more than the 1073741824 that are allowed"):
+        open_world(world)
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "reason"),
+    [
+        ("coarse", lambda a: a * np.nan, "a vocabulary that is not finite"),
+        ("fine", lambda a: a + np.inf, "a vocabulary that is not finite"),
+        ("coarse", lambda a: a[:1], "a vocabulary of 1 centres"),
+        ("starts", lambda a: a[::-1].copy(), "that begin before they end"),
+        ("photos", lambda a: a.astype(np.uint64), "an index of other types"),
+        ("photos", lambda a: a + 99, "lists a photo that it does not hold"),
+        ("calibration", lambda a: a * np.nan, "weighed by no numbers"),
+    ],
+)
+def test_what_finds_areas_is_read_with_suspicion(
+    world: Path, name: str, change: Callable[[NDArray[Any]], NDArray[Any]], reason: str
+) -> None:
+    changed(world / "world.h5", f"retrieval/{name}", change)
+    with pytest.raises(InputError, match=reason):
+        open_world(world)
+
+
+def test_numbers_of_fewer_bits_are_the_same_world(made: Path, world: Path) -> None:
+    for name in ("home", "links", "areas/0000/views", "areas/0001/views"):
+        changed(world / "world.h5", name, lambda numbers: numbers.astype(np.int16))
+    given, small = open_world(made / "world"), open_world(world)
+    assert small.identifier == given.identifier
+    np.testing.assert_array_equal(small.area_map.home, given.area_map.home)
 
 
 # --- which place belongs to which area -----------------------------------------------------------
