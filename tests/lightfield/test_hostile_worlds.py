@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.artifacts.errors import InputError, LfnavError, OptionError
 from pipelines.artifacts.json_fields import JsonFields
 from pipelines.artifacts.safe_hdf5 import open_hdf5
 from pipelines.lightfield.area_map import AreaMap
 from pipelines.lightfield.open_world import open_world
 from pipelines.lightfield.stage import ModelSettings
+from pipelines.lightfield.world import AreaSettings, model_world
 from pipelines.lightfield.world_file import _world_of
 from tests.chain_samples import lfnav, succeed
 from tests.world_samples import FLOOR, TWO_ROOMS, rooms_reconstruction
@@ -232,6 +233,64 @@ def test_numbers_of_fewer_bits_are_the_same_world(made: Path, world: Path) -> No
     given, small = open_world(made / "world"), open_world(world)
     assert small.identifier == given.identifier
     np.testing.assert_array_equal(small.area_map.home, given.area_map.home)
+
+
+# --- areas that are not what the index says ------------------------------------------------------
+
+
+@pytest.mark.parametrize("most", [1e300, 1e7, 1e4])
+def test_areas_as_large_as_countries_take_no_memory(world: Path, most: float) -> None:
+    bounds = np.array([-most, most, -most, most])
+    changed(world / EAST, "bounds", lambda _: bounds)
+    with pytest.raises(InputError, match="too far apart, or too large, for one floor"):
+        open_world(world)
+
+
+def test_an_area_that_is_thin_and_endless_takes_no_memory(world: Path) -> None:
+    changed(world / EAST, "bounds", lambda _: np.array([0.0, 1e-9, 0.0, 1e9]))
+    with pytest.raises(InputError, match="too large, for one floor"):
+        open_world(world)
+
+
+@pytest.mark.parametrize("name", ["image_names", "world_from_camera"])
+def test_an_area_with_other_photos_is_refused(world: Path, tmp_path: Path, name: str) -> None:
+    if name == "image_names":
+        described(world / EAST, "scene", lambda d: d[name].append(d[name].pop(1)))
+    else:
+        changed(world / EAST, name, lambda poses: poses[[0, *range(2, len(poses)), 1]])
+    told = lfnav("render", world, "--pose", "0.5,0,0", "-o", tmp_path / "view.png")
+    assert told.code == 1
+    refused(told.err, world / EAST, "holds other photos than the world's index says")
+    assert list(tmp_path.iterdir()) == [world]
+
+
+def test_areas_of_photos_that_are_at_home_elsewhere_are_a_world(world: Path) -> None:
+    changed(world / "world.h5", "home", lambda home: 1 - home)
+    with_true_identifier(world)
+    opened = open_world(world)
+    for area, held in enumerate(opened.index.areas):
+        at_home = np.flatnonzero(opened.held & (opened.index.home == area))
+        assert set(at_home.tolist()) <= set(held.views.tolist())
+
+
+def test_a_light_field_is_of_the_photos_that_areas_hold(made: Path, tmp_path: Path) -> None:
+    settings = ModelSettings(plane=FLAT.plane, max_views=6)
+    areas = AreaSettings(file=made / "areas.toml")
+    model_world(made / "map", tmp_path / "few", areas, settings)
+    few = open_world(tmp_path / "few")
+    assert 0 < np.count_nonzero(few.held) < np.count_nonzero(few.index.home >= 0)
+    photos = np.flatnonzero(few.held).tolist()
+    names = few.light_field(photos).image_names
+    assert sorted(names) == sorted(few.index.image_names[photo] for photo in photos)
+    left_out = np.flatnonzero(~few.held)
+    with pytest.raises(LfnavError, match=r"holds other photos|holds fewer views"):
+        few.light_field(left_out.tolist())
+
+
+@pytest.mark.parametrize("memory", [0.0, -1.0, float("nan"), float("inf")])
+def test_memory_is_a_number_of_megabytes(world: Path, memory: float) -> None:
+    with pytest.raises(OptionError, match=r"--memory .* is not between 1 and"):
+        open_world(world, memory)
 
 
 # --- which place belongs to which area -----------------------------------------------------------
