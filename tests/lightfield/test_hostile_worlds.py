@@ -20,6 +20,7 @@ from pipelines.lightfield.open_world import open_world
 from pipelines.lightfield.stage import ModelSettings
 from pipelines.lightfield.world import AreaSettings, model_world
 from pipelines.lightfield.world_file import _world_of
+from pipelines.render import area_renderers
 from tests.chain_samples import lfnav, succeed
 from tests.world_samples import FLOOR, TWO_ROOMS, rooms_reconstruction
 
@@ -285,6 +286,17 @@ def test_a_light_field_is_of_the_photos_that_areas_hold(made: Path, tmp_path: Pa
     left_out = np.flatnonzero(~few.held)
     with pytest.raises(LfnavError, match=r"holds other photos|holds fewer views"):
         few.light_field(left_out.tolist())
+
+
+def test_pictures_of_an_area_that_is_too_large_say_what_to_do(
+    world: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(area_renderers, "AT_ONCE_MEGABYTES", 150.0)
+    told = lfnav("render", world, "--pose", "0.5,0,0", "-o", tmp_path / "view.png")
+    assert told.code == 1
+    assert "and pictures of a world at most 150; make the world with a smaller" in told.err
+    assert told.err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == [world]
 
 
 @pytest.mark.parametrize("memory", [0.0, -1.0, float("nan"), float("inf")])
