@@ -50,23 +50,43 @@ def kind_of(path: Path) -> Kind:
 
 
 def is_world(path: Path) -> bool:
-    """Whether a path is the folder of a world; half a world is none."""
-    return (path / WORLD_FILE).is_file()
+    """Whether a path is the folder of a world; for who takes a world as well as a scene.
+
+    Raises:
+        InputError: a folder of another kind, half a world among them, or the index of a world.
+    """
+    if not path.is_dir():
+        if _is_index(path):
+            raise InputError(path, "is the index of a world", f"name its folder, {path.parent}")
+        return False
+    if not (path / WORLD_FILE).is_file():
+        _refuse_part_of_world(path)
+        raise InputError(path, f"is a folder without {WORLD_FILE}: no world of areas")
+    return True
 
 
 def refuse_world(path: Path) -> None:
     """Says what to do with a world where one scene is needed.
 
     Raises:
-        InputError: ``path`` is the folder of a world, or its index.
+        InputError: ``path`` is the folder of a world, also of half a one, or its index.
     """
-    folder = path.parent if path.name == WORLD_FILE else path
+    folder = path.parent if _is_index(path) else path
     if (folder / WORLD_FILE).is_file():
         raise InputError(
             path,
             "is a world of areas, which this command does not take yet",
             f"name the scene of one area, {folder / AREA_FOLDER}/NAME.h5",
         )
+    _refuse_part_of_world(path)
+
+
+def _is_index(path: Path) -> bool:
+    """Whether a file is a world's index; a scene may be called like one."""
+    if path.name != WORLD_FILE or not path.is_file() or not is_hdf5(path):
+        return False
+    with open_hdf5(path) as file:
+        return file.attribute("format", str) == WORLD_FORMAT
 
 
 def _kind_of_folder(path: Path) -> Kind:
@@ -74,14 +94,19 @@ def _kind_of_folder(path: Path) -> Kind:
         return "reconstruction"
     if (path / WORLD_FILE).is_file():
         return "world"
+    _refuse_part_of_world(path)
+    return "dataset"
+
+
+def _refuse_part_of_world(path: Path) -> None:
+    """Refuses the folder of a world that has no index, or none yet."""
     if any((path / AREA_FOLDER).glob("*.h5")):
         raise InputError(
             path,
             f"holds {AREA_FOLDER}/ and no {WORLD_FILE}: the world is not whole",
             "make it again with lfnav model --areas",
         )
-    if path.name.endswith(BUILDING_SUFFIX):
+    if path.name.endswith(BUILDING_SUFFIX) and path.is_dir():
         raise InputError(
             path, "is a world that is being built", "call the same lfnav model again to go on"
         )
-    return "dataset"

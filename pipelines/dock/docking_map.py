@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from pipelines.artifacts.arrays import BoolArray, Float32Array, FloatArray
+from pipelines.artifacts.errors import OptionError
 from pipelines.dock.clearance import TOP_ABOVE_CAMERA, Clearance
 from pipelines.dock.exploration import RendersViews
 from pipelines.dock.fine_alignment import PHOTO_SIDE
@@ -136,7 +137,10 @@ class _WorldMap:
         index, places = self._world.index, places[:, :2]
         own = self._world.area_map.areas_of(places).tolist()
         near = [self._world.area_map.near(place, NEAR) for place in places]
-        photos = np.flatnonzero(np.isin(index.home, np.unique(np.concatenate([own, *near]))))
+        is_near = np.isin(index.home, np.unique(np.concatenate([own, *near])))
+        photos = np.flatnonzero(is_near & self._world.held)
+        if len(photos) == 0:
+            raise OptionError("the areas there hold none of their own photos; give another goal")
         apart = index.world_from_camera[photos, None, :2, 3] - places
         nearest = np.argsort(np.linalg.norm(apart, axis=2).min(axis=1), kind="stable")
         return self._world.light_field(sorted(photos[nearest[:GOAL_VIEWS]].tolist()))

@@ -17,7 +17,7 @@ from pipelines.dock.goals import Goal, goal_state
 from pipelines.dock.robot import CheckedRobot, Robot
 from pipelines.dock.settings import DockSettings
 from pipelines.dock.states import Outcome
-from pipelines.lightfield.open_world import OpenWorld
+from pipelines.lightfield.open_world import OpenWorld, checked_scene
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.run import Run
 from pipelines.localize.settings import LocalizerSettings
@@ -89,8 +89,7 @@ def dock(
     """
     settings = DockSettings() if settings is None else settings
     chosen = LocalizerSettings() if filter_settings is None else filter_settings
-    if not isinstance(scene, OpenWorld):
-        checked_instance(scene, "the scene", Scene)
+    checked_scene(scene)
     checked_instance(settings, "settings", DockSettings)
     checked_instance(chosen, "filter settings", LocalizerSettings)
     checked_number(seed, "seed", 0, whole=True)

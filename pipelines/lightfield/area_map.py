@@ -12,6 +12,9 @@ from pipelines.artifacts.arrays import BoolArray, FloatArray, IntArray, checked_
 from pipelines.artifacts.errors import OptionError
 from pipelines.artifacts.safe_hdf5 import SafeFile, write_array, write_json
 
+# Farther from the origin no photo was taken, metres.
+FARTHEST = 1e8
+
 
 @dataclass(frozen=True)
 class AreaMap:
@@ -23,7 +26,8 @@ class AreaMap:
         home: ``(P,)`` number of the area of each.
 
     Raises:
-        OptionError: shapes that do not fit, no place, or a number that is that of no area.
+        OptionError: shapes that do not fit, no place, one farther away than ``FARTHEST``, or a
+            number that is that of no area.
     """
 
     names: tuple[str, ...]
@@ -35,6 +39,8 @@ class AreaMap:
         checked_array(self.home, "areas of places", (len(self.places),), np.int64)
         if len(self.places) == 0 or np.any((self.home < 0) | (self.home >= len(self.names))):
             raise OptionError("no place has an area, or one has an area that there is not")
+        if np.abs(self.places).max() > FARTHEST:
+            raise OptionError(f"a place of an area is more than {FARTHEST:g} m away")
 
     def __len__(self) -> int:
         return len(self.names)
@@ -45,7 +51,21 @@ class AreaMap:
 
     def areas_of(self, places: FloatArray) -> IntArray:
         """The area ``(M,)`` in which each of the places ``(M, 2)``, metres, lies."""
-        return np.asarray(self.home[self._tree.query(places)[1]], dtype=np.int64)
+        return np.asarray(self.home[_nearest(self._tree, places)[1]], dtype=np.int64)
+
+    def beside(self, places: FloatArray, area: int, metres: float) -> BoolArray:
+        """Which of the places ``(M, 2)`` lie in an area or next to it, ``(M,)``.
+
+        Args:
+            places: metres.
+            area: its number.
+            metres: by so much its nearest photo may be farther than the nearest of all.
+        """
+        own = self.places[self.home == area]
+        if len(own) == 0:
+            return np.zeros(len(places), dtype=np.bool_)
+        nearest, _ = _nearest(self._tree, places)
+        return np.asarray(_nearest(scipy.spatial.cKDTree(own), places)[0] <= nearest + metres)
 
     def borders(self, places: FloatArray, metres: float) -> BoolArray:
         """Which areas places ``(M, 2)`` lie in or next to, ``(M, A)``.
@@ -54,12 +74,9 @@ class AreaMap:
             places: metres.
             metres: by so much the nearest photo of an area may be farther than that of the nearest.
         """
-        distances = np.full((len(places), len(self.names)), np.inf)
-        for area in np.unique(self.home).tolist():
-            own = self.places[self.home == area]
-            found = scipy.spatial.cKDTree(own).query(places)[0]
-            distances[:, area] = found
-        return np.asarray(distances <= distances.min(axis=1, keepdims=True) + metres)
+        return np.stack(
+            [self.beside(places, area, metres) for area in range(len(self.names))], axis=1
+        )
 
     def near(self, place: FloatArray, metres: float) -> IntArray:
         """Numbers of the areas with a photo taken so near to a place ``(2,)``, rising."""
@@ -69,6 +86,13 @@ class AreaMap:
         """How the weights ``(M,)`` of places ``(M, 2)`` are shared among the areas, ``(A,)``."""
         found = np.bincount(self.areas_of(places), weights=weights, minlength=len(self.names))
         return np.asarray(found, dtype=np.float64)
+
+
+def _nearest(tree: Any, places: FloatArray) -> tuple[FloatArray, IntArray]:
+    """How far the nearest of a tree's points is from each place, and which it is."""
+    # The square of a distance must be finite, or no point is the nearest.
+    distances, points = tree.query(np.clip(places, -2.0 * FARTHEST, 2.0 * FARTHEST))
+    return distances, points
 
 
 def write_area_map(file: h5py.File, areas: AreaMap) -> None:

@@ -78,7 +78,7 @@ def obstacle_points_of_world(world: OpenWorld, top: float) -> FloatArray | None:
     for number, area in enumerate(world.index.areas):
         found = obstacle_points(load_scene(area_path(world.path, area.name)), top)
         if found is not None:
-            points.append(found[world.area_map.borders(found, BESIDE_AREA)[:, number]])
+            points.append(found[world.area_map.beside(found, number, BESIDE_AREA)])
     together = np.concatenate(points)
     return together if len(together) > 0 else None
 

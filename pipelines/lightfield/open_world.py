@@ -7,8 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from pipelines.artifacts.arguments import PathLike, checked_number, checked_path
-from pipelines.artifacts.arrays import FloatArray
+from pipelines.artifacts.arguments import (
+    PathLike,
+    checked_instance,
+    checked_number,
+    checked_path,
+)
+from pipelines.artifacts.arrays import BoolArray, FloatArray, IntArray
 from pipelines.artifacts.errors import InputError, OptionError
 from pipelines.artifacts.kinds import is_world
 from pipelines.geometry.camera import Camera
@@ -19,12 +24,21 @@ from pipelines.lightfield.depth_storage import Depths
 from pipelines.lightfield.free_ground import FreeGround
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_part, load_scene
-from pipelines.lightfield.world_file import World, area_path, load_recognition, load_world
+from pipelines.lightfield.world_file import (
+    REBUILD,
+    World,
+    area_path,
+    load_recognition,
+    load_world,
+)
 
 # Side of the cells of the whole floor's free ground, metres.
 GROUND_CELL = 0.1
 # What localization may take of memory beside the program itself, unless it is told.
 DEFAULT_MEGABYTES, MOST_MEGABYTES = 1000.0, 1e9
+OTHER_PHOTOS = "holds other photos than the world's index says"
+# More cells of ground are no floor of a building, but a file that was made to do harm.
+MOST_GROUND_CELLS, PLACES_AT_ONCE = 100_000_000, 1_000_000
 # Views that are read and decoded together.
 TOGETHER = 8
 
@@ -63,6 +77,17 @@ class OpenWorld:
             self.index.world_from_camera[at_home, :2, 3],
             self.index.home[at_home],
         )
+
+    @cached_property
+    def held(self) -> BoolArray:
+        """``(N,)`` which photos the areas hold in which they are at home.
+
+        A world of ``--max-views`` holds only some of the photos that were recorded.
+        """
+        held = np.zeros(len(self.index.home), dtype=np.bool_)
+        for number, area in enumerate(self.index.areas):
+            held[area.views] |= self.index.home[area.views] == number
+        return held
 
     @property
     def bounds(self) -> FloatArray:
@@ -123,16 +148,25 @@ class OpenWorld:
             InputError: the file is damaged, or cannot be read any more.
         """
         rows = np.searchsorted(self.index.areas[area].views, np.asarray(photos, dtype=np.int64))
-        path = area_path(self.path, self.index.areas[area].name)
         for start in range(0, len(photos), TOGETHER):
             part = slice(start, start + TOGETHER)
-            yield tuple(photos[part]), load_part(path, rows[part].tolist(), depths)
+            yield tuple(photos[part]), self._part(area, rows[part], photos[part], depths)
+
+    def _part(self, area: int, rows: IntArray, photos: Sequence[int], depths: Depths) -> Scene:
+        """Some rows of an area's file, which have to be these photos."""
+        path = area_path(self.path, self.index.areas[area].name)
+        scene = load_part(path, rows.tolist(), depths)
+        names = tuple(self.index.image_names[photo] for photo in photos)
+        poses = self.index.world_from_camera[list(photos)]
+        if scene.image_names != names or not np.array_equal(scene.world_from_camera, poses):
+            raise InputError(path, OTHER_PHOTOS, REBUILD)
+        return scene
 
     def light_field(self, photos: Sequence[int]) -> Scene:
         """One scene of some photos, each as in the area in which it is at home.
 
         Args:
-            photos: their numbers in the world; at least one, all of them at home somewhere.
+            photos: their numbers in the world; at least one, all of them ``held``.
 
         Returns:
             The photos, by area and number. Bounds and ground are those of one of the areas.
@@ -180,10 +214,10 @@ def open_world(path: PathLike, memory: float = DEFAULT_MEGABYTES) -> OpenWorld:
         file = area_path(path, area.name)
         outline = load_part(file, [0])
         if outline.image_names[0] != index.image_names[area.views[0]]:
-            raise InputError(file, "holds other photos than the world's index says")
+            raise InputError(file, OTHER_PHOTOS, REBUILD)
         outlines.append(outline)
     recognition = load_recognition(path, index)
-    ground = _united_ground(outlines)
+    ground = _united_ground(path, outlines)
     return OpenWorld(path, index, tuple(outlines), ground, recognition, float(memory))
 
 
@@ -205,11 +239,31 @@ def scene_or_world(path: Path, memory: float | None) -> Scene | OpenWorld:
     return load_scene(path)
 
 
-def _united_ground(outlines: Sequence[Scene]) -> FreeGround:
-    """Cells that are free in one of the areas, at least."""
+def checked_scene(scene: object) -> Scene | OpenWorld:
+    """What was handed over as a scene, or as a world of several.
+
+    Raises:
+        OptionError: it is neither.
+    """
+    return scene if isinstance(scene, OpenWorld) else checked_instance(scene, "the scene", Scene)
+
+
+def _united_ground(path: Path, outlines: Sequence[Scene]) -> FreeGround:
+    """Cells that are free in one of the areas, at least.
+
+    Raises:
+        InputError: the areas lie farther apart than any floor is long.
+    """
     bounds = np.stack([outline.bounds for outline in outlines])
     corner = bounds[:, [0, 2]].min(axis=0)
-    size = np.ceil((bounds[:, [1, 3]].max(axis=0) - corner) / GROUND_CELL).astype(np.int64)
+    with np.errstate(over="ignore"):
+        size = np.ceil((bounds[:, [1, 3]].max(axis=0) - corner) / GROUND_CELL)
+        if not np.prod(size) <= MOST_GROUND_CELLS:
+            raise InputError(
+                path,
+                "has areas that are too far apart, or too large, for one floor",
+                "lfnav info --json says where they are",
+            )
     cells = np.zeros((int(size[1]), int(size[0])), dtype=np.bool_)
     for outline in outlines:
         low_x, high_x, low_y, high_y = outline.bounds
@@ -222,8 +276,12 @@ def _united_ground(outlines: Sequence[Scene]) -> FreeGround:
         )
         inside = np.ones((len(rows), len(columns)), dtype=np.bool_)
         if outline.ground is not None:
-            places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-            inside = outline.ground.contains(places).reshape(inside.shape)
+            # Some rows at once: places take sixteen times what cells do.
+            step = max(1, PLACES_AT_ONCE // len(columns))
+            for start in range(0, len(rows), step):
+                strip = slice(start, start + step)
+                places = np.stack(np.meshgrid(x, y[strip]), axis=-1).reshape(-1, 2)
+                inside[strip] = outline.ground.contains(places).reshape(-1, len(columns))
         part = np.s_[int(first[1]) : int(end[1]), int(first[0]) : int(end[0])]
         cells[part] |= inside[: cells[part].shape[0], : cells[part].shape[1]]
     return FreeGround(corner, GROUND_CELL, cells)

@@ -25,7 +25,7 @@ from pipelines.artifacts.safe_hdf5 import (
 )
 from pipelines.lightfield.area_recognition import Calibration
 from pipelines.lightfield.retrieval_index import RetrievalIndex
-from pipelines.lightfield.visual_words import DIMENSIONS, MAX_CENTRES, Vocabulary
+from pipelines.lightfield.visual_words import DIMENSIONS, MAX_CENTRES, MIN_CENTRES, Vocabulary
 
 FEATURES_FORMAT = "lfnav features"
 FEATURES_VERSION = 1
@@ -93,7 +93,7 @@ def read_index(file: SafeFile, photos: int) -> tuple[RetrievalIndex, Calibration
 
     coarse = read("coarse", "f", None, DIMENSIONS)
     size = len(coarse)
-    if not 0 < size <= MAX_CENTRES:
+    if not MIN_CENTRES <= size <= MAX_CENTRES:
         raise InputError(file.path, f"holds a vocabulary of {size} centres a level")
     vocabulary = Vocabulary(
         read("mean", "f", 128),
@@ -101,7 +101,10 @@ def read_index(file: SafeFile, photos: int) -> tuple[RetrievalIndex, Calibration
         coarse,
         read("fine", "f", size, size, DIMENSIONS),
     )
-    starts = read("starts", "i", size * size + 1)
+    centres = (vocabulary.mean, vocabulary.projection, vocabulary.coarse, vocabulary.fine)
+    if not all(np.all(np.isfinite(numbers)) for numbers in centres):
+        raise InputError(file.path, "holds a vocabulary that is not finite")
+    starts = read("starts", "i", size * size + 1).astype(np.int64)
     owners = read("photos", "u", None)
     signatures = read("signatures", "u", len(owners))
     exponent, nothing = read("calibration", "f", 2).tolist()
@@ -109,7 +112,10 @@ def read_index(file: SafeFile, photos: int) -> tuple[RetrievalIndex, Calibration
         raise InputError(file.path, "holds lists of photos that begin before they end")
     if np.any(owners >= photos):
         raise InputError(file.path, "lists a photo that it does not hold")
-    if signatures.dtype != np.uint64 or not (0.0 < exponent < 1e3 and 0.0 < nothing < 1e3):
-        raise InputError(file.path, "holds an index that is none")
+    # Numbers of 64 bits without a sign and such with one have no integer type in common.
+    if owners.dtype == np.uint64 or signatures.dtype != np.uint64:
+        raise InputError(file.path, "holds an index of other types")
+    if not (0.0 < exponent < 1e3 and 0.0 < nothing < 1e3):
+        raise InputError(file.path, "holds an index that is weighed by no numbers")
     index = RetrievalIndex(vocabulary, starts, owners, signatures, photos)
     return index, Calibration(exponent, nothing)

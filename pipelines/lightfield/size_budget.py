@@ -9,7 +9,7 @@ from pipelines.artifacts.errors import InputError
 from pipelines.artifacts.safe_hdf5 import open_hdf5
 from pipelines.geometry.camera import Camera
 from pipelines.lightfield.scene import Scene
-from pipelines.lightfield.views import POOL_SIDE, SMALLEST_LEVEL_SIDE, shrunk_size, texels_beyond
+from pipelines.lightfield.views import POOL_SIDE, pyramid_texels, shrunk_size, texels_beyond
 
 PARTS = ("photos", "depth_maps", "rest")
 # The longer side of views to which ``lfnav localize`` shrinks the photos by default.
@@ -93,7 +93,7 @@ def view_memory(camera: Camera, encoded_bytes: float, depth_side: int | None) ->
         depth_side: longer side of its depth map, pixels; None: without one.
     """
     size = shrunk_size(camera.width, camera.height, LOCALIZE_SIDE)
-    total = encoded_bytes + TEXEL_BYTES * _pyramid_texels(*size)
+    total = encoded_bytes + TEXEL_BYTES * pyramid_texels(*size)
     if depth_side is not None:
         stored = shrunk_size(camera.width, camera.height, depth_side)
         shown = shrunk_size(*stored, LOCALIZE_SIDE)
@@ -112,7 +112,7 @@ def view_bytes(camera: Camera, side: int, channels: int, has_depth: bool) -> flo
         has_depth: whether it has a depth map.
     """
     width, height = shrunk_size(camera.width, camera.height, side)
-    total: float = channels * TEXEL_BYTES * _pyramid_texels(width, height)
+    total: float = channels * TEXEL_BYTES * pyramid_texels(width, height)
     if has_depth:
         total += DEPTH_BYTES * width * height * (1.0 + 1.0 / POOL_SIDE**2)
     return total
@@ -139,7 +139,7 @@ def _memory(scene: Scene, largest_side: int | None) -> dict[str, int]:
     for index in range(len(scene)):
         camera = scene.camera_of(index)
         size = shrunk_size(camera.width, camera.height, largest_side)
-        photos += TEXEL_BYTES * _pyramid_texels(*size)
+        photos += TEXEL_BYTES * pyramid_texels(*size)
         widest = max(widest, size[0])
     photos += TEXEL_BYTES * texels_beyond(widest)
     for of_view in scene.depth:
@@ -149,15 +149,6 @@ def _memory(scene: Scene, largest_side: int | None) -> dict[str, int]:
         depth += DEPTH_BYTES * size[0] * size[1]
     rest = scene.timestamps.nbytes + scene.camera_index.nbytes + scene.world_from_camera.nbytes
     return {"photos": photos, "depth_maps": depth, "rest": rest}
-
-
-def _pyramid_texels(width: int, height: int) -> int:
-    """Pixels of all levels of an image's pyramid."""
-    total = width * height
-    while min(width, height) >= 2 * SMALLEST_LEVEL_SIDE:
-        width, height = (width + 1) // 2, (height + 1) // 2
-        total += width * height
-    return total
 
 
 def _megabytes(count: float) -> str:

@@ -15,9 +15,9 @@ from pipelines.artifacts.errors import StageError
 from pipelines.geometry.camera import Intrinsics
 from pipelines.lightfield.views import (
     POOL_SIDE,
-    SMALLEST_LEVEL_SIDE,
     ViewArrays,
     Views,
+    pyramid_texels,
     texels_beyond,
 )
 
@@ -56,7 +56,8 @@ class ViewArena:
     """
 
     def __init__(self, places: int, side: int, channels: int) -> None:
-        self._texels_a_place = _pyramid_texels(side)
+        # Of no photo of this side are there more than of a square one.
+        self._texels_a_place = pyramid_texels(side, side)
         self._depths_a_place = side * side
         self._pooled_a_place = (-(-side // POOL_SIDE)) ** 2
         texels = places * self._texels_a_place + texels_beyond(side)
@@ -177,12 +178,3 @@ def _repeated(numbers: np.ndarray, most: int, name: str) -> np.ndarray:
     if name != "level_size" or len(numbers) == most:
         return numbers
     return np.concatenate([numbers, np.repeat(numbers[-1:], most - len(numbers), axis=0)])
-
-
-def _pyramid_texels(side: int) -> int:
-    """Pixels of all levels of the pyramid of a square photo; of no other are there more."""
-    total = side * side
-    while side >= 2 * SMALLEST_LEVEL_SIDE:
-        side = (side + 1) // 2
-        total += side * side
-    return total

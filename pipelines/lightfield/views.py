@@ -321,6 +321,15 @@ def query_intrinsics(camera: Camera, undistorter: Undistorter, width: int) -> In
     return undistorter.intrinsics.resized(width, height)
 
 
+def pyramid_texels(width: int, height: int) -> int:
+    """Pixels of all levels of the pyramid of an image of so many pixels."""
+    total = width * height
+    while min(width, height) >= 2 * SMALLEST_LEVEL_SIDE:
+        width, height = (width + 1) // 2, (height + 1) // 2
+        total += width * height
+    return total
+
+
 def _pyramid(image: ImageArray) -> list[ImageArray]:
     levels = [image]
     while min(levels[-1].shape[:2]) >= 2 * SMALLEST_LEVEL_SIDE:

@@ -33,6 +33,7 @@ from pipelines.artifacts.safe_hdf5 import (
 )
 from pipelines.geometry.pose import are_rigid
 from pipelines.lightfield.area_file import is_area_name
+from pipelines.lightfield.area_map import FARTHEST
 from pipelines.lightfield.area_recognition import AreaRecognition
 from pipelines.lightfield.retrieval_file import has_index, index_bytes, read_index, write_index
 from pipelines.lightfield.scene_file import scene_identifier
@@ -40,6 +41,8 @@ from pipelines.lightfield.scene_file import scene_identifier
 SCHEMA_VERSION = 2
 # Names of 100,000 photos take about this.
 MAX_INDEX_BYTES = 4 * MAX_JSON_BYTES
+# No file is larger, bytes.
+LARGEST_FILE = 2**60
 REBUILD = "make the world again with lfnav model --areas"
 
 
@@ -229,10 +232,14 @@ def _world_of(file: SafeFile, fields: JsonFields) -> World:
     poses = file.read_array("world_from_camera", dtype_kind="f", shape=(count, 4, 4))
     if not np.all(are_rigid(poses)):
         raise InputError(fields.path, "holds a pose that is no rigid transform")
-    home = file.read_array("home", dtype_kind="i", shape=(count,))
-    links = file.read_array("links", dtype_kind="i", shape=(None, 2))
+    if np.abs(poses[:, :3, 3]).max() > FARTHEST:
+        raise InputError(fields.path, f"holds a pose more than {FARTHEST:g} m away")
+    home = file.read_array("home", dtype_kind="i", shape=(count,)).astype(np.int64)
+    links = file.read_array("links", dtype_kind="i", shape=(None, 2)).astype(np.int64)
     lengths = file.read_array("link_lengths", dtype_kind="f", shape=(len(links),))
     _check_range(fields.path, "home", home, -1, len(areas))
+    if np.all(home < 0):
+        raise InputError(fields.path, "holds no photo that is at home in an area")
     _check_range(fields.path, "links", links, 0, count)
     if not np.all(np.isfinite(lengths) & (lengths >= 0.0)):
         raise InputError(fields.path, "holds a path of a length that is none")
@@ -254,7 +261,8 @@ def _area_of(file: SafeFile, row: JsonFields, number: int, photos: int) -> World
     # The name becomes a path: here nothing may lead out of the folder.
     if not is_area_name(name):
         raise InputError(row.path, f"{row.prefix}name {quoted(name)} cannot be that of a file")
-    views = file.read_array(f"areas/{number:04d}/views", dtype_kind="i", shape=(None,))
+    stored = file.read_array(f"areas/{number:04d}/views", dtype_kind="i", shape=(None,))
+    views = stored.astype(np.int64)
     _check_range(row.path, f"{row.prefix}views", views, 0, photos)
     if len(views) == 0 or np.any(np.diff(views) <= 0):
         raise InputError(row.path, f"{row.prefix}views are none, or not in order")
@@ -266,9 +274,16 @@ def _area_of(file: SafeFile, row: JsonFields, number: int, photos: int) -> World
         neighbours=tuple(_text(row, neighbour) for neighbour in row.get("neighbours", list)),
         identifier=row.get("identifier", str),
         sha256=row.get("sha256", str),
-        file_bytes=row.get("file_bytes", int),
-        memory_bytes=row.get("memory_bytes", int),
+        file_bytes=_size(row, "file_bytes"),
+        memory_bytes=_size(row, "memory_bytes"),
     )
+
+
+def _size(row: JsonFields, key: str) -> int:
+    value = row.get(key, int)
+    if not 0 <= value <= LARGEST_FILE:
+        raise InputError(row.path, f"{row.prefix}{key} is out of range")
+    return value
 
 
 def _rectangle(row: JsonFields, key: str) -> FloatArray:

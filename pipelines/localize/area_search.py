@@ -16,19 +16,18 @@ from pipelines.localize.retrieval import (
     RetrievalIndex,
     best_distinct,
     joined,
+    spread_around,
     spread_states,
     states_around_views,
 )
 from pipelines.localize.search import THOROUGH, GlobalSearch, SearchEffort, ViewDatabase, of_views
 from pipelines.localize.settings import LocalizerSettings
-from pipelines.localize.state_space import sigmas_of
 
 # Areas are searched that together hold this share of the probability, and so many of them.
 SEARCHED_SHARE, LEAST_AREAS, MOST_AREAS = 0.99, 2, 6
 # States around so many photos that show most of an image, at least so many of each area, and so
-# many around each; metres and radians.
+# many around each.
 ALIKE, ALIKE_OF_AREA, COPIES = 20, 6, 20
-AROUND_POSITION, AROUND_ANGLE = 0.3, 0.2
 # So many of an area's best are aligned, and so many kept. Where these explain this share of the
 # image, views all over the areas are not needed.
 ALIGNED_OF_AREA, KEPT_OF_AREA, WELL_EXPLAINED = 2, 30, 0.5
@@ -167,9 +166,7 @@ class AreaSearch(GlobalSearch):
             if len(photos) == 0:
                 continue
             poses = self._views[photos] @ inverse(model.body_from_camera)
-            around = np.repeat(space.states(poses), COPIES, axis=0)
-            sigma = sigmas_of(space, AROUND_POSITION, AROUND_ANGLE)
-            around = space.moved(around, sigma * self._rng.standard_normal(around.shape))
+            around = spread_around(space, space.states(poses), COPIES, self._rng)
             evidence = model.evidence(around, fine, model.likelihood.pixel_subsampling)
             best = best_distinct(space, around, evidence, ALIGNED_OF_AREA)
             # An image that speaks against the best of so many states is rarely from near them.

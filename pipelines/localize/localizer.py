@@ -21,7 +21,7 @@ from pipelines.artifacts.errors import OptionError
 from pipelines.dataset.dataset import Dataset
 from pipelines.geometry.camera import Camera
 from pipelines.geometry.pose import checked_poses
-from pipelines.lightfield.open_world import OpenWorld
+from pipelines.lightfield.open_world import OpenWorld, checked_scene
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.area_proof import AreaProof
 from pipelines.localize.area_search import AreaSearch
@@ -87,8 +87,8 @@ class Localizer:
     ) -> None:
         settings = LocalizerSettings() if settings is None else settings
         rng = np.random.default_rng(0) if rng is None else rng
-        if not isinstance(scene, OpenWorld | AreaWindow):
-            checked_instance(scene, "the scene", Scene)
+        if not isinstance(scene, AreaWindow):
+            checked_scene(scene)
         checked_instance(camera, "the camera", Camera)
         checked_instance(settings, "settings", LocalizerSettings)
         checked_instance(rng, "rng", np.random.Generator)

@@ -18,7 +18,7 @@ from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.pose import inverse
 from pipelines.localize.belief import Region, radical_inverses
 from pipelines.localize.observation import Observation
-from pipelines.localize.state_space import StateSpace
+from pipelines.localize.state_space import StateSpace, sigmas_of
 from pipelines.render.channels import ZERO
 from pipelines.render.renderer import Renderer
 
@@ -155,10 +155,30 @@ def states_around_views(
     # Of no states at all there are no rotations before SciPy 1.16.
     if copies < 2:
         return own
-    sigma = np.array([AROUND_POSITION] * space.positions + [AROUND_ANGLE] * space.angles)
-    around = np.repeat(own, copies - 1, axis=0)
-    moved = space.moved(around, sigma * rng.standard_normal(around.shape))
-    return np.concatenate([own, moved])
+    return np.concatenate([own, spread_around(space, own, copies - 1, rng)])
+
+
+def spread_around(
+    space: StateSpace,
+    states: FloatArray,
+    copies: int,
+    rng: np.random.Generator,
+    position: float = AROUND_POSITION,
+    angle: float = AROUND_ANGLE,
+) -> FloatArray:
+    """States ``(copies N, D)`` around others, those around one after the other.
+
+    Args:
+        space: what a state is.
+        states: ``(N, D)``.
+        copies: so many around each.
+        rng: the only source of randomness.
+        position: standard deviation, metres; by default that around recorded views.
+        angle: likewise, radians.
+    """
+    around = np.repeat(states, copies, axis=0)
+    sigma = sigmas_of(space, position, angle)
+    return space.moved(around, sigma * rng.standard_normal(around.shape))
 
 
 def best_distinct(

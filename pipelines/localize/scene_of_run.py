@@ -4,10 +4,8 @@ import os
 from pathlib import Path
 
 from pipelines.artifacts.errors import InputError
-from pipelines.artifacts.kinds import is_world
-from pipelines.lightfield.open_world import OpenWorld, open_world
+from pipelines.lightfield.open_world import OpenWorld, scene_or_world
 from pipelines.lightfield.scene import Scene
-from pipelines.lightfield.scene_file import load_scene
 from pipelines.localize.run import Run
 
 
@@ -34,13 +32,13 @@ def load_scene_of_run(
         InputError: it is not there, or unreadable, or the run was made with another one.
     """
     path = locate_scene(run, run_path) if given is None else given
-    if given is None and not (path.is_file() or is_world(path)):
+    if given is None and not path.exists():
         raise InputError(
             path,
             f"is not there, but {run_path} was made with it",
             "say where the scene is now with --scene",
         )
-    scene = open_world(path) if is_world(path) else load_scene(path)
+    scene = scene_or_world(path, None)
     check_run_belongs_to(run, scene.identifier, run_path, path)
     return path, scene
 

@@ -18,11 +18,11 @@ from pipelines.localize.retrieval import (
     RetrievalIndex,
     best_distinct,
     build_index,
+    spread_around,
     spread_states,
     states_around_views,
 )
 from pipelines.localize.settings import LocalizerSettings
-from pipelines.localize.state_space import sigmas_of
 
 # States around a retrieved one: standard deviations in metres and radians.
 AROUND_POSITION, AROUND_ANGLE = 0.2, 0.08
@@ -157,9 +157,7 @@ class GlobalSearch:
         fine = observations.by_width[self._settings.fine_width]
         found = database.most_alike(coarse.in_channels(self._model.channels), effort.retrieved)
         position, angle = database.scale * AROUND_POSITION, database.scale * AROUND_ANGLE
-        sigma = sigmas_of(space, position, angle)
-        around = np.repeat(found, effort.copies, axis=0)
-        around = space.moved(around, sigma * self._rng.standard_normal(around.shape))
+        around = spread_around(space, found, effort.copies, self._rng, position, angle)
         states = np.concatenate([found, around])
         return states, self._model.evidence(states, fine, self._model.likelihood.pixel_subsampling)
 

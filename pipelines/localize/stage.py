@@ -26,7 +26,7 @@ from pipelines.dataset.dataset import (
     poses_at_images,
 )
 from pipelines.geometry.planarity import check_planar
-from pipelines.lightfield.open_world import OpenWorld, scene_or_world
+from pipelines.lightfield.open_world import OpenWorld, checked_scene, scene_or_world
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.belief import Region
 from pipelines.localize.description import RunSummary
@@ -41,11 +41,7 @@ from pipelines.localize.run import FrameRecord, Run, save_run
 from pipelines.localize.scene_of_run import relative_scene_path
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import StateSpace
-from pipelines.reconstruct.reconstruction import (
-    DESCRIPTION_NAME,
-    Reconstruction,
-    load_reconstruction,
-)
+from pipelines.reconstruct.reconstruction import DESCRIPTION_NAME, load_reconstruction
 from pipelines.render.devices import resolved_device
 
 # How errors name the odometry of a run that is to do without.
@@ -167,6 +163,9 @@ def localize(request: LocalizeRequest, progress: Progress = no_progress) -> RunS
         request.odometry_source,
         provenance("localize", {**settings.to_dict(), "seed": request.seed}, inputs),
     )
+    landmarks = None
+    if points is not None:
+        landmarks = LandmarkSource(_one_scene(scene), points, str(reconstruction))
     run = localize_dataset(
         scene,
         dataset,
@@ -174,16 +173,21 @@ def localize(request: LocalizeRequest, progress: Progress = no_progress) -> RunS
         seed=request.seed,
         origin=origin,
         progress=progress,
-        landmarks=None if points is None else _landmarks(scene, points, str(reconstruction)),
+        landmarks=landmarks,
     )
     save_run(request.output, run, request.overwrite)
     return RunSummary(request.output, run)
 
 
-def _landmarks(scene: Scene | OpenWorld, points: Reconstruction, name: str) -> LandmarkSource:
+def _one_scene(scene: Scene | OpenWorld) -> Scene:
+    """The scene whose features PnP takes.
+
+    Raises:
+        OptionError: it is a world.
+    """
     if isinstance(scene, OpenWorld):
         raise OptionError(NO_PNP)
-    return LandmarkSource(scene, points, name)
+    return scene
 
 
 def localize_dataset(
@@ -215,8 +219,7 @@ def localize_dataset(
         OptionError: settings that make no sense for this scene, or an argument of another type.
     """
     settings = LocalizerSettings() if settings is None else settings
-    if not isinstance(scene, OpenWorld):
-        checked_instance(scene, "the scene", Scene)
+    checked_scene(scene)
     checked_instance(dataset, "the data set", Dataset)
     checked_instance(settings, "settings", LocalizerSettings)
     checked_number(seed, "seed", 0, whole=True)
@@ -239,11 +242,10 @@ def localize_dataset(
         body_poses = poses_at_images(dataset, dataset.odometry, odometry)
     pnp = None
     if settings.uses_pnp:
-        if isinstance(scene, OpenWorld):
-            raise OptionError(NO_PNP)
+        mapped = _one_scene(scene)
         pnp = PnpLocalizer(
-            scene,
-            LandmarkSource(scene, None) if landmarks is None else landmarks,
+            mapped,
+            LandmarkSource(mapped, None) if landmarks is None else landmarks,
             MountedCamera(camera, mount, mask),
             space,
             seed=seed,

@@ -22,6 +22,7 @@ from pipelines.lightfield.open_world import OpenWorld
 from pipelines.lightfield.size_budget import view_bytes
 from pipelines.lightfield.view_arena import ViewArena
 from pipelines.lightfield.views import Views, views_of_scene
+from pipelines.lightfield.world_file import WorldArea
 from pipelines.render.channels import views_in_channels
 from pipelines.render.choices import Blending, Channels, Quality
 from pipelines.render.renderer import Renderer
@@ -308,14 +309,17 @@ def colour_renderers(
     Raises:
         OptionError: an area too large to be opened, or a surface that is not the same in all.
     """
-    areas = AreaRenderers(
-        replace(world, memory=AT_ONCE_MEGABYTES),
-        max(world.largest_camera) if side is None else side,
-        (Channels.COLOUR,),
-        blending,
-        quality,
-        None,
-    )
+    side = max(world.largest_camera) if side is None else side
+    area, least = _largest_area(world, side, 1, BESIDE_VIEWS)
+    if least > AT_ONCE_MEGABYTES:
+        # Who asks for pictures cannot give them more memory.
+        raise OptionError(
+            f"the {len(area.views)} views of area {area.name} take {least} MB at {side} pixels, "
+            f"and pictures of a world at most {AT_ONCE_MEGABYTES:g}; make the world with a "
+            "smaller --area-views"
+        )
+    world = replace(world, memory=AT_ONCE_MEGABYTES)
+    areas = AreaRenderers(world, side, (Channels.COLOUR,), blending, quality, None)
     return lambda pose: areas.at(pose[:2, 3], Channels.COLOUR)
 
 
@@ -325,16 +329,28 @@ def _places_within_budget(world: OpenWorld, side: int, channels: int, reserved: 
     Raises:
         OptionError: fewer than the largest area has.
     """
-    cameras = [camera for outline in world.outlines for camera in outline.cameras]
-    of_view = max(view_bytes(camera, side, channels, world.has_depth) for camera in cameras) / 1e6
     beside = BESIDE_VIEWS + reserved
-    places = int((world.memory - beside) / of_view)
-    largest = max(world.index.areas, key=lambda area: len(area.views))
+    places = int((world.memory - beside) / _megabytes_of_view(world, side, channels))
+    largest, least = _largest_area(world, side, channels, beside)
     if places < len(largest.views):
-        least = math.ceil(beside + len(largest.views) * of_view)
         raise OptionError(
             f"--memory {world.memory:g} is too small for area {largest.name} and its "
             f"{len(largest.views)} views, which take {least} MB; "
             "give more, or make the world with a smaller --area-views"
         )
     return min(places, len(world.index.image_names))
+
+
+def _largest_area(
+    world: OpenWorld, side: int, channels: int, beside: float
+) -> tuple[WorldArea, int]:
+    """The area with the most views, and the megabytes that it takes, with those beside them."""
+    largest = max(world.index.areas, key=lambda area: len(area.views))
+    of_view = _megabytes_of_view(world, side, channels)
+    return largest, math.ceil(beside + len(largest.views) * of_view)
+
+
+def _megabytes_of_view(world: OpenWorld, side: int, channels: int) -> float:
+    """What the largest of a world's views takes."""
+    cameras = [camera for outline in world.outlines for camera in outline.cameras]
+    return max(view_bytes(camera, side, channels, world.has_depth) for camera in cameras) / 1e6

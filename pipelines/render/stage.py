@@ -1,6 +1,6 @@
 """The stage ``render``: virtual views of a scene model as images or a video."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,14 +17,14 @@ from pipelines.dataset.images import encode_png
 from pipelines.geometry.camera import Intrinsics, Undistorter
 from pipelines.geometry.pose import base_from_camera_mount, world_from_base_planar
 from pipelines.geometry.trajectory import read_tum
-from pipelines.lightfield.open_world import OpenWorld, open_world
+from pipelines.lightfield.open_world import open_world
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_scene
-from pipelines.render.area_renderers import AT_ONCE_MEGABYTES, colour_renderers
+from pipelines.render.area_renderers import AT_ONCE_MEGABYTES
 from pipelines.render.choices import Blending, Quality
 from pipelines.render.devices import Device
-from pipelines.render.renderer import Renderer, Rendering
-from pipelines.render.renderer_choice import renderer_of_scene
+from pipelines.render.renderer import Rendering
+from pipelines.render.renderer_choice import renderers_of
 from pipelines.render.surface import quality_named
 
 LISTING = "views.txt"
@@ -126,7 +126,9 @@ def render(
         raise OptionError(f"{output}: {len(poses)} views do not fit in one PNG; name a folder")
     intrinsics = virtual_intrinsics(scene, settings.width)
     quality = quality_named(settings.quality, bool(scene.depth), Quality.FINE)
-    renderer_at = _renderer_at(scene if world is None else world, settings, quality)
+    renderer_at = renderers_of(
+        scene if world is None else world, None, settings.blending, quality, settings.device
+    )
     renderings = (
         renderer_at(pose).render(pose, intrinsics) for pose in progress(poses, "render", len(poses))
     )
@@ -140,20 +142,6 @@ def render(
     else:
         coverage = _write_folder(output, renderings, overwrite)
     return RenderSummary(output, intrinsics.width, intrinsics.height, tuple(coverage))
-
-
-def _renderer_at(
-    scene: Scene | OpenWorld, settings: RenderSettings, quality: Quality
-) -> Callable[[FloatArray], Renderer]:
-    """What says which renderer shows what is seen from a pose ``(4, 4)``."""
-    if isinstance(scene, OpenWorld):
-        if settings.device is Device.GPU:
-            raise OptionError("a world of areas is rendered on the CPU, not on a GPU")
-        return colour_renderers(scene, None, settings.blending, quality)
-    renderer = renderer_of_scene(
-        scene, blending=settings.blending, quality=quality, device=settings.device
-    )
-    return lambda _: renderer
 
 
 def virtual_intrinsics(scene: Scene, width: int | None) -> Intrinsics:

@@ -12,9 +12,9 @@ from pipelines.geometry.camera import Intrinsics, Undistorter
 from pipelines.lightfield.open_world import OpenWorld
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.run import Run
-from pipelines.render.area_renderers import colour_renderers
 from pipelines.render.choices import Blending, Quality
 from pipelines.render.renderer import Renderer, Rendering
+from pipelines.render.renderer_choice import renderers_of
 from pipelines.render.surface import quality_named
 from pipelines.report.style import UNCOVERED_DARK, UNCOVERED_LIGHT
 
@@ -105,12 +105,9 @@ def renderer_at(scene: Scene | OpenWorld) -> Callable[[FloatArray], Renderer]:
     Raises:
         InputError: a photo of the scene cannot be decoded.
     """
-    if isinstance(scene, Scene):
-        quality = quality_named(None, bool(scene.depth), Quality.FINE)
-        renderer = Renderer.of_scene(scene, MAX_PICTURE_SIDE, quality=quality)
-        return lambda _: renderer
-    quality = quality_named(None, scene.has_depth, Quality.FINE)
-    return colour_renderers(scene, MAX_PICTURE_SIDE, Blending.UNSTRUCTURED, quality)
+    has_depth = bool(scene.depth) if isinstance(scene, Scene) else scene.has_depth
+    quality = quality_named(None, has_depth, Quality.FINE)
+    return renderers_of(scene, MAX_PICTURE_SIDE, Blending.UNSTRUCTURED, quality)
 
 
 def picture_intrinsics(intrinsics: Intrinsics) -> Intrinsics:

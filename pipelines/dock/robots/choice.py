@@ -12,6 +12,7 @@ import numpy as np
 from pipelines.artifacts.arguments import check_fields, checked_instance, checked_number
 from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import InputError, OptionError, quoted
+from pipelines.artifacts.kinds import is_world
 from pipelines.dataset.camera_file import read_camera_file
 from pipelines.dataset.dataset import CAMERA_FILE, load_dataset
 from pipelines.dock.robot import CheckedRobot, Robot, RobotError
@@ -22,9 +23,9 @@ from pipelines.dock.robots.replay import ReplayRobot
 from pipelines.dock.robots.simulator import PathTracing, SimulatorRobot
 from pipelines.dock.robots.world_model import WorldModelRobot
 from pipelines.geometry.camera import Camera, Undistorter
-from pipelines.lightfield.open_world import OpenWorld
+from pipelines.lightfield.open_world import OpenWorld, checked_scene
 from pipelines.lightfield.scene import Scene
-from pipelines.lightfield.scene_file import load_scene
+from pipelines.lightfield.scene_file import load_part, load_scene
 from pipelines.lightfield.world_file import area_path, load_world
 
 SIMULATED = ("model", "replay", "sim")
@@ -79,8 +80,7 @@ def robot_named(
         StageError: the simulator is not installed.
     """
     checked_instance(name, "robot", str)
-    if not isinstance(scene, OpenWorld):
-        checked_instance(scene, "the scene", Scene)
+    checked_scene(scene)
     checked_instance(options, "robot options", RobotOptions)
     checked_number(seed, "seed", 0, whole=True)
     kind, colon, rest = name.partition(":")
@@ -106,9 +106,9 @@ def _simulated(
     motion = SimulatedMotion(state, options.motion, moving)
     if kind == "replay":
         return ReplayRobot(load_dataset(path), motion)
-    if kind == "model" and path.is_dir():
+    if kind == "model" and is_world(path):
         index = load_world(path)
-        first = load_scene(area_path(path, index.areas[0].name))
+        first = load_part(area_path(path, index.areas[0].name), [0])
         return WorldModelRobot(
             path, index, *_camera(first, options), motion, options.sensor, seeing
         )

@@ -1,5 +1,7 @@
 """``model:SCENE.h5``: a simulated robot whose camera images are rendered from a scene model."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray, ImageArray
@@ -14,13 +16,53 @@ from pipelines.render.surface import quality_named
 NOTHING = 128
 
 
+class RenderedRobot(SimulatedRobot):
+    """A robot whose camera images are rendered from what subclasses say.
+
+    Args:
+        camera: without distortion.
+        base_from_camera: ``(4, 4)`` the camera's mount.
+        motion: the robot's true pose, and its errors of movements and odometry.
+        sensor: errors of its images.
+        rng: the random numbers of its images.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        base_from_camera: FloatArray,
+        motion: SimulatedMotion,
+        sensor: SensorNoise,
+        rng: np.random.Generator,
+    ) -> None:
+        super().__init__(camera, base_from_camera, motion, sensor, rng)
+        self._intrinsics = Undistorter(camera).intrinsics
+
+    def take_image(self) -> ImageArray:
+        """The view at the true pose, ``(H, W, 3)`` RGB."""
+        shape = (self.camera.height, self.camera.width)
+        image = np.full((*shape, 3), NOTHING, dtype=np.uint8)
+        is_open = np.ones(shape, dtype=np.bool_)
+        for renderer in self._renderers_here():
+            view = renderer.render(self._world_from_camera, self._intrinsics)
+            image = np.where((is_open & view.covered)[..., None], view.image, image)
+            is_open &= ~view.covered
+            if not is_open.any():
+                break
+        return as_recorded(image.astype(np.uint8), self._sensor, self._rng)
+
+    def _renderers_here(self) -> Iterator[Renderer]:
+        """Renderers of what is around the robot; each shows what those before leave uncovered."""
+        raise NotImplementedError
+
+
 def renderer_of_model(scene: Scene, camera: Camera) -> Renderer:
     """What renders a simulated robot's images from a scene model."""
     quality = quality_named(None, bool(scene.depth), Quality.FINE)
     return Renderer.of_scene(scene, 4 * camera.width, quality=quality)
 
 
-class ModelRobot(SimulatedRobot):
+class ModelRobot(RenderedRobot):
     """A robot in a scene model. What the model does not cover is grey, as a bare wall would be.
 
     Args:
@@ -42,11 +84,7 @@ class ModelRobot(SimulatedRobot):
         rng: np.random.Generator,
     ) -> None:
         super().__init__(camera, base_from_camera, motion, sensor, rng)
-        self._intrinsics = Undistorter(camera).intrinsics
         self._renderer = renderer_of_model(scene, camera)
 
-    def take_image(self) -> ImageArray:
-        """The view at the true pose, ``(H, W, 3)`` RGB."""
-        view = self._renderer.render(self._world_from_camera, self._intrinsics)
-        image = np.where(view.covered[..., None], view.image, np.uint8(NOTHING)).astype(np.uint8)
-        return as_recorded(image, self._sensor, self._rng)
+    def _renderers_here(self) -> Iterator[Renderer]:
+        yield self._renderer

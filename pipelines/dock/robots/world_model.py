@@ -1,14 +1,15 @@
 """``model:WORLD``: a simulated robot whose camera images are rendered from the areas of a world."""
 
 from collections import OrderedDict
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from pipelines.artifacts.arrays import FloatArray, ImageArray
-from pipelines.dock.robots.model import NOTHING, renderer_of_model
-from pipelines.dock.robots.noise import SensorNoise, SimulatedMotion, SimulatedRobot, as_recorded
-from pipelines.geometry.camera import Camera, Undistorter
+from pipelines.artifacts.arrays import FloatArray
+from pipelines.dock.robots.model import RenderedRobot, renderer_of_model
+from pipelines.dock.robots.noise import SensorNoise, SimulatedMotion
+from pipelines.geometry.camera import Camera
 from pipelines.lightfield.scene_file import load_scene
 from pipelines.lightfield.world_file import World, area_path
 from pipelines.render.renderer import Renderer
@@ -17,7 +18,7 @@ from pipelines.render.renderer import Renderer
 NEAR, OPEN = 2.0, 4
 
 
-class WorldModelRobot(SimulatedRobot):
+class WorldModelRobot(RenderedRobot):
     """A robot in a world of several areas.
 
     It sees what the area shows in which it is, and of what is left uncovered, what the areas next
@@ -46,21 +47,11 @@ class WorldModelRobot(SimulatedRobot):
         super().__init__(camera, base_from_camera, motion, sensor, rng)
         self._path, self._areas = path, world.areas
         self._rectangles = np.array([area.rectangle for area in world.areas])
-        self._intrinsics = Undistorter(camera).intrinsics
         self._renderers: OrderedDict[str, Renderer] = OrderedDict()
 
-    def take_image(self) -> ImageArray:
-        """The view at the true pose, ``(H, W, 3)`` RGB."""
-        shape = (self.camera.height, self.camera.width)
-        image = np.full((*shape, 3), NOTHING, dtype=np.uint8)
-        is_open = np.ones(shape, dtype=np.bool_)
-        for name in self._areas_around(self._motion.state[:2]):
-            view = self._renderer(name).render(self._world_from_camera, self._intrinsics)
-            image = np.where((is_open & view.covered)[..., None], view.image, image)
-            is_open &= ~view.covered
-            if not is_open.any():
-                break
-        return as_recorded(image.astype(np.uint8), self._sensor, self._rng)
+    def _renderers_here(self) -> Iterator[Renderer]:
+        # An area is opened only where those before it leave something uncovered.
+        return map(self._renderer, self._areas_around(self._motion.state[:2]))
 
     def _areas_around(self, place: FloatArray) -> list[str]:
         """Names of the areas at a place ``(2,)`` and next to it, the one around it first."""
