@@ -33,6 +33,11 @@ _KNOWN_TYPES = (*IMAGE_TYPES, INFO_TYPE, *TF_TYPES, *POSE_TYPES)
 _TF_DEFINITION = "geometry_msgs/TransformStamped[] transforms"
 # Chunks that have to be decompressed at the same time because their times overlap.
 MAX_OVERLAPPING_BYTES = 2 * MAX_CHUNK_BYTES
+_REMEDIES = {
+    ".bag": "rosbag reindex may mend it",
+    ".mcap": "mcap recover may mend it",
+    ".db3": "sqlite3's .recover may mend it",
+}
 _SUFFIXES = {".bag": "ROS 1", ".db3": "ROS 2, sqlite3", ".mcap": "ROS 2, mcap"}
 
 
@@ -197,6 +202,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
             stack.enter_context(limited_decompression())
             readers: list[Any] = []
             for file in files:
+                _check_length(file)
                 reader = Reader1(file) if is_ros1 else Reader2(file)
                 with _damage_of(file):
                     stack.enter_context(reader)
@@ -235,6 +241,20 @@ def _files_of(path: Path) -> tuple[list[Path], str]:
     if path.suffix not in _SUFFIXES:
         raise InputError(path, "is no bag: its name ends in none of .bag, .db3, .mcap")
     return [path], _SUFFIXES[path.suffix]
+
+
+def _check_length(bag: Path) -> None:
+    """Refuses a database of SQLite that lacks its end, where only the last messages may lie."""
+    for file in [bag] if bag.is_file() else sorted(bag.glob("*.db3")):
+        with file.open("rb") as content:
+            header = content.read(100)
+        if file.suffix != ".db3" or len(header) < 100 or header[24:28] != header[92:96]:
+            continue  # the header's number of pages counts only where it was written last
+        (page_size,) = struct.unpack_from(">H", header, 16)
+        (pages,) = struct.unpack_from(">I", header, 28)
+        # 64 KiB has no place in the two bytes.
+        if file.stat().st_size < pages * (65536 if page_size == 1 else page_size):
+            raise InputError(file, "is cut off", _REMEDIES[".db3"])
 
 
 def _typestore(*, is_ros1: bool) -> Any:
@@ -279,13 +299,10 @@ def _damage_of(file: Path) -> Iterator[None]:
     except LfnavError:
         raise
     except Exception as error:
-        remedy = {
-            ".bag": "rosbag reindex may mend it",
-            ".mcap": "mcap recover may mend it",
-            ".db3": "ros2 bag reindex or sqlite3's .recover may mend it",
-        }.get(file.suffix, "")
         raise InputError(
-            file, f"is cut off, without index or damaged ({_reason(error)})", remedy
+            file,
+            f"is cut off, without index or damaged ({_reason(error)})",
+            _REMEDIES.get(file.suffix, ""),
         ) from error
 
 
