@@ -21,7 +21,7 @@ COMMANDS = {
     "evaluate": "Errors of a run against ground truth.",
     "report": "A page with figures that shows how a run went.",
     "sweep": "Many runs with other seeds and settings, one table.",
-    "export": "A run as TUM, KITTI, EuRoC, CSV or JSON; a scene model as a COLMAP project.",
+    "export": "A run as TUM, KITTI, EuRoC, CSV, JSON or a ROS bag; a scene model for COLMAP.",
     "info": "What a file or folder made by lfnav, a data set or a ROS bag contains.",
 }
 
