@@ -12,8 +12,12 @@ RECONSTRUCTION_FILE = "reconstruction.json"
 WORLD_FILE, AREA_FOLDER = "world.h5", "areas"
 # Of the folder beside a world in which finished areas are kept while it is built.
 BUILDING_SUFFIX = ".areas-in-progress"
+# Recordings of ROS: files, and folders with an index of this name and content.
+BAG_SUFFIXES = (".bag", ".db3", ".mcap")
+_DATA_SET_SUFFIXES = (".jpg", ".jpeg", ".png", ".txt")
+ROSBAG2_METADATA, _ROSBAG2_KEY = "metadata.yaml", b"rosbag2_bagfile_information"
 
-Kind = Literal["reconstruction", "world", "scene", "run", "dataset"]
+Kind = Literal["reconstruction", "world", "scene", "run", "bag", "dataset"]
 
 
 def kind_of(path: Path) -> Kind:
@@ -21,8 +25,8 @@ def kind_of(path: Path) -> Kind:
 
     Returns:
         ``"reconstruction"`` for a folder with a ``reconstruction.json``, ``"world"`` for one with a
-        ``world.h5``, ``"scene"`` or ``"run"`` for an HDF5 file of that format, ``"dataset"`` for
-        anything else that exists.
+        ``world.h5``, ``"scene"`` or ``"run"`` for an HDF5 file of that format, ``"bag"`` for a
+        recording of ROS, ``"dataset"`` for anything else that exists.
 
     Raises:
         InputError: nothing is there, an HDF5 file that lfnav did not make, or a folder with the
@@ -34,6 +38,8 @@ def kind_of(path: Path) -> Kind:
         raise InputError(path, "does not exist") from error
     except (OSError, ValueError) as error:
         raise InputError(path, f"cannot be read ({reason_of(error)})") from error
+    if is_bag(path):
+        return "bag"
     if path.is_dir():
         return _kind_of_folder(path)
     if not is_hdf5(path):
@@ -63,6 +69,24 @@ def is_world(path: Path) -> bool:
         _refuse_part_of_world(path)
         raise InputError(path, f"is a folder without {WORLD_FILE}: no world of areas")
     return True
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is a recording of ROS: a file by its suffix, a folder by what it holds."""
+    try:
+        if not path.is_dir():
+            return path.suffix in BAG_SUFFIXES and path.is_file()
+        index = path / ROSBAG2_METADATA
+        if index.is_file():
+            with index.open("rb") as file:
+                return _ROSBAG2_KEY in file.read(4096)
+        # Nothing but parts of one: a data set with a bag beside its images stays a data set.
+        children = list(path.iterdir())
+        return any(child.suffix in BAG_SUFFIXES for child in children) and not any(
+            child.is_dir() or child.suffix.lower() in _DATA_SET_SUFFIXES for child in children
+        )
+    except (OSError, ValueError):
+        return False
 
 
 def refuse_world(path: Path) -> None:
