@@ -16,10 +16,11 @@ if TYPE_CHECKING:
 @click.option(
     "--format",
     "format_name",
-    type=click.Choice(["tum", "kitti", "euroc", "csv", "json", "colmap"]),
+    type=click.Choice(["tum", "kitti", "euroc", "csv", "json", "mcap", "colmap"]),
     required=True,
     help="tum, kitti, euroc: poses of the robot's base in the scene's world, z = 0. "
     "csv, json: also status, confidence and, in json, modes and covariance. "
+    "mcap: a bag for Foxglove and RViz, with poses, tf, odometry, particles and images. "
     "colmap: of a scene model, its photos and their poses.",
 )
 @click.option(
@@ -48,13 +49,15 @@ def command(
 ) -> None:
     """Writes a run or a scene model in another program's format.
 
-    FILE is a run, of which the estimated trajectory is written, or with --format colmap a scene
-    model, of which a COLMAP project is written: images/ and sparse/.
+    FILE is a run, of which the estimated trajectory is written (with --format mcap the whole run as
+    a ROS bag), or with --format colmap a scene model, of which a COLMAP project is written: images/
+    and sparse/.
 
     \b
     Example:
       lfnav export run.h5 --format tum -o run.tum
       evo_ape tum sample_data/elevators/test/groundtruth.txt run.tum
+      lfnav export run.h5 --format mcap -o run.mcap
       lfnav export scene.h5 --format colmap -o project
     """
     if format_name == "colmap":
@@ -63,6 +66,11 @@ def command(
         if estimate is not None:
             raise click.UsageError("--estimate is for runs, not for --format colmap")
         print_summary(export_scene_to_colmap(source, output, overwrite), as_json)
+        return
+    if format_name == "mcap":
+        from pipelines.ros.run_bag import export_run_to_bag
+
+        print_summary(export_run_to_bag(source, output, estimate, overwrite), as_json)
         return
     from pipelines.localize.trajectory_export import export_run_file
 

@@ -54,9 +54,11 @@ def known_kinds() -> list[str]:
     "where columns run to the left or rows run up.",
 )
 @click.option(
-    "--focal", type=float, metavar="PX", help="grid, 7scenes, video: focal length, pixels."
+    "--focal", type=float, metavar="PX", help="grid, 7scenes, video, bag: focal length, pixels."
 )
-@click.option("--fov", type=float, metavar="DEG", help="grid, video: horizontal field of view.")
+@click.option(
+    "--fov", type=float, metavar="DEG", help="grid, video, bag: horizontal field of view."
+)
 @click.option(
     "--focus",
     type=float,
@@ -87,8 +89,9 @@ def known_kinds() -> list[str]:
 @click.option("--sequence", metavar="NN", help="kitti: which sequence, where SOURCE holds several.")
 @click.option(
     "--camera",
-    type=click.Choice(["image_0", "image_1", "image_2", "image_3"]),
-    help="kitti: which camera; default image_2, the left colour camera, or else image_0.",
+    metavar="NAME",
+    help="kitti: which camera, image_0 to image_3; default image_2, the left colour camera, or "
+    "else image_0. bag: topic of its images; default: the only one.",
 )
 @click.option(
     "--camera-height",
@@ -97,7 +100,7 @@ def known_kinds() -> list[str]:
     help="kitti: height of the camera above the road; default 1.65.",
 )
 @click.option(
-    "--every", type=int, metavar="N", help="kitti, 7scenes, video: take every N-th image."
+    "--every", type=int, metavar="N", help="kitti, 7scenes, video, bag: take every N-th image."
 )
 @click.option("--fps", type=float, metavar="RATE", help="video: most images per second.")
 @click.option("--max-frames", type=int, metavar="N", help="video: most images; default 1000.")
@@ -107,7 +110,42 @@ def known_kinds() -> list[str]:
     help="video: how frames are written; default jpeg, quality 95.",
 )
 @click.option(
-    "--link", is_flag=True, help="Hard links instead of copies where possible; not for video."
+    "--odometry",
+    metavar="TOPIC",
+    help="bag: topic of the odometry, two frames of tf as PARENT:CHILD, or none. Default: the only "
+    "topic of nav_msgs/Odometry, or else the frame odom of tf.",
+)
+@click.option(
+    "--groundtruth",
+    metavar="TOPIC",
+    help="bag: topic of the true poses, or two frames of tf as PARENT:CHILD. Default: the topic "
+    "that is called so.",
+)
+@click.option(
+    "--base",
+    metavar="FRAME",
+    help="bag: the robot's frame, on which the camera is mounted. Default: the odometry's, or else "
+    "base_link or base_footprint.",
+)
+@click.option(
+    "--max-gap",
+    type=float,
+    metavar="S",
+    help="bag: seconds between two poses at most for one to be interpolated; default 0.2.",
+)
+@click.option("--distance", type=float, metavar="M", help="bag: metres between images.")
+@click.option(
+    "--angle",
+    type=float,
+    metavar="DEG",
+    help="bag: degrees between images; with --distance whichever comes first.",
+)
+@click.option("--start", type=float, metavar="S", help="bag: seconds after the first image.")
+@click.option("--end", type=float, metavar="S", help="bag: likewise, the end.")
+@click.option(
+    "--link",
+    is_flag=True,
+    help="Hard links instead of copies where possible; not for video and bag.",
 )
 @overwrite_option
 @json_option
@@ -132,6 +170,14 @@ def command(
     fps: float | None,
     max_frames: int | None,
     image_format: str | None,
+    odometry: str | None,
+    groundtruth: str | None,
+    base: str | None,
+    max_gap: float | None,
+    distance: float | None,
+    angle: float | None,
+    start: float | None,
+    end: float | None,
     link: bool,
     overwrite: bool,
     as_json: bool,
@@ -148,8 +194,10 @@ def command(
       lfnav import video.mp4 -o place --fps 2
       lfnav import cards/ -o cards --spacing 0.01 --fov 40 --focus 2
       lfnav import kitti/sequences/00 -o kitti00 --every 5
+      lfnav import drive.mcap -o drive --camera /camera/image_raw --distance 0.1 --angle 5
     """
-    from pipelines.reconstruct.import_stage import ImportSettings, import_source
+    from pipelines.artifacts.kinds import is_bag
+    from pipelines.dataset.importers.settings import ImportSettings
 
     settings = ImportSettings(
         kind=kind,
@@ -169,7 +217,23 @@ def command(
         fps=fps,
         max_frames=max_frames,
         image_format=image_format,
+        odometry=odometry,
+        groundtruth=groundtruth,
+        base=base,
+        max_gap=max_gap,
+        distance=distance,
+        angle=angle,
+        start=start,
+        end=end,
         link=link,
     )
+    if kind == "bag" or (kind == "auto" and is_bag(source)):
+        from pipelines.ros.bag_import import import_bag
+
+        bag = import_bag(source, output, settings, overwrite=overwrite, progress=progress)
+        print_summary(bag, as_json)
+        return
+    from pipelines.reconstruct.import_stage import import_source
+
     summary = import_source(source, output, settings, overwrite=overwrite, progress=progress)
     print_summary(summary, as_json)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 def command(
     path: Path, picture: Path | None, overwrite: bool, as_json: bool, progress: "Progress"
 ) -> None:
-    """Prints what PATH contains: a data set, a reconstruction, a scene model, a world or a run.
+    """Prints what PATH contains: a data set, reconstruction, scene model, world, run or ROS bag.
 
     \b
     Example:
@@ -35,7 +35,7 @@ def command(
     """
     if picture is not None:
         _draw(path, picture, overwrite)
-    print_summary(_describe(path), as_json)
+    print_summary(_describe(path, progress), as_json)
 
 
 def _draw(path: Path, picture: Path, overwrite: bool) -> None:
@@ -48,7 +48,7 @@ def _draw(path: Path, picture: Path, overwrite: bool) -> None:
     draw_world(path, picture, overwrite)
 
 
-def _describe(path: Path) -> "Summary":
+def _describe(path: Path, progress: "Progress") -> "Summary":
     from pipelines.artifacts.kinds import kind_of
 
     kind = kind_of(path)
@@ -68,6 +68,10 @@ def _describe(path: Path) -> "Summary":
         from pipelines.localize.description import describe_run
 
         return describe_run(path)
+    if kind == "bag":
+        from pipelines.ros.bag_description import describe_bag
+
+        return describe_bag(path, progress)
     from pipelines.dataset.description import describe_dataset
 
     return describe_dataset(path)

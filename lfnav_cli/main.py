@@ -12,7 +12,7 @@ from lfnav_cli import common
 # Subcommand -> its one line in ``lfnav --help``. Its module (see ``module_of``) is imported only
 # when the subcommand is used, so that the help text appears at once.
 COMMANDS = {
-    "import": "A data set from COLMAP, nerfstudio, KITTI, 7-Scenes, a camera grid or a video.",
+    "import": "A data set from a ROS bag, COLMAP, nerfstudio, KITTI, 7-Scenes, a grid or a video.",
     "reconstruct": "Camera poses of a data set: structure from motion, odometry, or given.",
     "model": "A light-field scene model from a reconstruction.",
     "render": "Virtual views of a scene model.",
@@ -21,8 +21,8 @@ COMMANDS = {
     "evaluate": "Errors of a run against ground truth.",
     "report": "A page with figures that shows how a run went.",
     "sweep": "Many runs with other seeds and settings, one table.",
-    "export": "A run as TUM, KITTI, EuRoC, CSV or JSON; a scene model as a COLMAP project.",
-    "info": "What a file or folder made by lfnav, or a data set, contains.",
+    "export": "A run as TUM, KITTI, EuRoC, CSV, JSON or a ROS bag; a scene model for COLMAP.",
+    "info": "What a file or folder made by lfnav, a data set or a ROS bag contains.",
 }
 
 # Names that Python keeps for itself cannot be those of modules.

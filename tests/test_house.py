@@ -23,6 +23,7 @@ FLOORS = {
     "dock": 7,
     "report": 7,
     "experiments": 7,
+    "ros": 7,
 }
 # The C++ core is a module, built from native/, that stands beside the packages' lowest floor.
 MODULE_FLOORS = {"native": 0}

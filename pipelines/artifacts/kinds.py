@@ -12,8 +12,11 @@ RECONSTRUCTION_FILE = "reconstruction.json"
 WORLD_FILE, AREA_FOLDER = "world.h5", "areas"
 # Of the folder beside a world in which finished areas are kept while it is built.
 BUILDING_SUFFIX = ".areas-in-progress"
+# Recordings of ROS: files, and folders with an index of this name and content.
+BAG_SUFFIXES = (".bag", ".db3", ".mcap")
+ROSBAG2_METADATA, _ROSBAG2_KEY = "metadata.yaml", b"rosbag2_bagfile_information"
 
-Kind = Literal["reconstruction", "world", "scene", "run", "dataset"]
+Kind = Literal["reconstruction", "world", "scene", "run", "bag", "dataset"]
 
 
 def kind_of(path: Path) -> Kind:
@@ -21,8 +24,8 @@ def kind_of(path: Path) -> Kind:
 
     Returns:
         ``"reconstruction"`` for a folder with a ``reconstruction.json``, ``"world"`` for one with a
-        ``world.h5``, ``"scene"`` or ``"run"`` for an HDF5 file of that format, ``"dataset"`` for
-        anything else that exists.
+        ``world.h5``, ``"scene"`` or ``"run"`` for an HDF5 file of that format, ``"bag"`` for a
+        recording of ROS, ``"dataset"`` for anything else that exists.
 
     Raises:
         InputError: nothing is there, an HDF5 file that lfnav did not make, or a folder with the
@@ -34,6 +37,8 @@ def kind_of(path: Path) -> Kind:
         raise InputError(path, "does not exist") from error
     except (OSError, ValueError) as error:
         raise InputError(path, f"cannot be read ({reason_of(error)})") from error
+    if is_bag(path):
+        return "bag"
     if path.is_dir():
         return _kind_of_folder(path)
     if not is_hdf5(path):
@@ -52,6 +57,22 @@ def kind_of(path: Path) -> Kind:
 def is_world(path: Path) -> bool:
     """Whether a path is the folder of a world; half a world is none."""
     return (path / WORLD_FILE).is_file()
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is a recording of ROS: a file by its suffix, a folder by what it holds."""
+    try:
+        if not path.is_dir():
+            return path.suffix in BAG_SUFFIXES and path.is_file()
+        index = path / ROSBAG2_METADATA
+        if index.is_file():
+            with index.open("rb") as file:
+                return _ROSBAG2_KEY in file.read(4096)
+        # rgb.txt: a data set with a bag beside its images stays one.
+        children = {child.name: child.suffix for child in path.iterdir()}
+        return "rgb.txt" not in children and any(s in BAG_SUFFIXES for s in children.values())
+    except (OSError, ValueError):
+        return False
 
 
 def refuse_world(path: Path) -> None:

@@ -154,11 +154,12 @@ def _euroc(run: Run, estimate: str) -> str:
     ):
         scalar_first = (quaternion[3], *quaternion[:3])
         values = ",".join(f"{value:.9f}" for value in (*pose[:3, 3], *scalar_first))
-        lines.append(f"{_nanoseconds(float(time))},{values}")
+        lines.append(f"{nanoseconds(float(time))},{values}")
     return "\n".join(lines) + "\n"
 
 
-def _nanoseconds(seconds: float) -> int:
+def nanoseconds(seconds: float) -> int:
+    """A timestamp as a whole number of nanoseconds."""
     # Through the shortest decimal: as a product of floats, 1305031102.175304 s would come out up to
     # 100 ns beside 1305031102175304000.
     return round(Decimal(repr(seconds)) * 1_000_000_000)

@@ -5,7 +5,7 @@ model`` follows at once. The folder appears whole or not at all.
 """
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ import numpy as np
 from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.atomic import atomic_folder, check_output
 from pipelines.artifacts.errors import InputError, StageError
+from pipelines.artifacts.kinds import is_bag
 from pipelines.artifacts.provenance import provenance, sha256_of_bytes
 from pipelines.artifacts.stages import Progress
 from pipelines.dataset.importers.camera_grid import read_camera_grid
@@ -75,6 +76,8 @@ def import_source(
         StageError: the world cannot be turned upright.
     """
     check_output(output, overwrite, RECORD_NAME)
+    if settings.kind == "bag" or (settings.kind == "auto" and is_bag(source)):
+        raise InputError(source, "is a bag, which import_bag reads")
     found = _recognised(source, settings.kind)
     settings.check_meant_for(found.kind)
     if found.kind == "video":
@@ -140,19 +143,31 @@ def _fill(
         reconstruction=output / RECONSTRUCTION_FOLDER if posed else None,
         notes=notes,
     )
-    _write_record(folder / RECORD_NAME, summary, record)
+    write_import_record(folder, summary.kind, summary.images, summary.notes, record)
     return summary
 
 
-def _write_record(path: Path, summary: ImportSummary, record: dict[str, Any]) -> None:
+def write_import_record(
+    folder: Path, kind: str, images: int, notes: Sequence[str], record: dict[str, Any]
+) -> None:
+    """Writes ``import.json`` into a data set that is not published yet.
+
+    Args:
+        folder: of the data set.
+        kind: of the source, one of ``KINDS``.
+        images: their number.
+        notes: what the user was told.
+        record: the provenance.
+    """
     content = {
         "format": FORMAT,
         "schema_version": 1,
-        "source": summary.kind,
-        "images": summary.images,
-        "notes": list(summary.notes),
+        "source": kind,
+        "images": images,
+        "notes": list(notes),
         "provenance": record,
     }
+    path = folder / RECORD_NAME
     path.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 

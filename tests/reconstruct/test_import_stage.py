@@ -89,14 +89,17 @@ def test_options_that_mean_nothing_or_are_impossible(tmp_path: Path) -> None:
             with pytest.raises(OptionError, match=f"--{name.replace('_', '-')}"):
                 ImportSettings(**{name: value})  # type: ignore[arg-type]
     impossible: list[dict[str, Any]] = [
-        {"kind": "bag"},
+        {"kind": "tape"},
         {"fov": 180.0},
-        {"camera": "image_9"},
+        {"start": -1.0},
+        {"start": 3.0, "end": 2.0},
         {"image_format": "gif"},
     ]
     for wrong in impossible:
         with pytest.raises(OptionError):
             ImportSettings(**wrong)
+    with pytest.raises(OptionError, match="--camera 'image_9' is none of image_0"):
+        ImportSettings(camera="image_9").check_meant_for("kitti")
     assert not (tmp_path / "out").exists()
 
 

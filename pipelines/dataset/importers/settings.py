@@ -7,11 +7,23 @@ from typing import Any
 
 from pipelines.artifacts.errors import OptionError, quoted
 
-KINDS = ("grid", "colmap", "nerfstudio", "kitti", "7scenes", "video")
+KINDS = ("grid", "colmap", "nerfstudio", "kitti", "7scenes", "video", "bag")
 # Sources whose poses are exact enough to be a reconstruction as they are.
 POSED_KINDS = ("grid", "colmap", "nerfstudio")
 IMAGE_FORMATS = ("jpeg", "png")
 KITTI_CAMERAS = ("image_0", "image_1", "image_2", "image_3")
+# Seconds: what odometry at 10 Hz with a message lost has between two poses.
+DEFAULT_MAX_GAP = 0.2
+_OF_BAGS = (
+    "odometry",
+    "groundtruth",
+    "base",
+    "max_gap",
+    "distance",
+    "angle",
+    "start",
+    "end",
+)
 
 # Option -> the sources for which it means something.
 _MEANT_FOR: dict[str, tuple[str, ...]] = {
@@ -19,20 +31,36 @@ _MEANT_FOR: dict[str, tuple[str, ...]] = {
     "spacing": ("grid",),
     "focus": ("grid",),
     "allow_missing": ("grid",),
-    "focal": ("grid", "7scenes", "video"),
-    "fov": ("grid", "video"),
+    "focal": ("grid", "7scenes", "video", "bag"),
+    "fov": ("grid", "video", "bag"),
     "images": ("colmap",),
     "scale": ("colmap", "nerfstudio"),
     "upright": ("colmap", "nerfstudio", "7scenes"),
     "sequence": ("kitti",),
-    "camera": ("kitti",),
+    "camera": ("kitti", "bag"),
     "camera_height": ("kitti",),
-    "every": ("kitti", "7scenes", "video"),
+    "every": ("kitti", "7scenes", "video", "bag"),
     "fps": ("video",),
     "max_frames": ("video",),
     "image_format": ("video",),
     "link": ("grid", "colmap", "nerfstudio", "kitti", "7scenes"),
+    **dict.fromkeys(_OF_BAGS, ("bag",)),
 }
+
+
+_POSITIVE = (
+    "focus",
+    "focal",
+    "scale",
+    "camera_height",
+    "fps",
+    "every",
+    "max_frames",
+    "max_gap",
+    "distance",
+    "angle",
+    "end",
+)
 
 
 @dataclass(frozen=True)
@@ -52,13 +80,21 @@ class ImportSettings:
         scale: metres for one unit of the source.
         upright: turn the world so that the cameras stand upright in it.
         sequence: kitti: name of the sequence.
-        camera: kitti: folder of the camera, one of ``KITTI_CAMERAS``.
+        camera: kitti: folder of the camera, one of ``KITTI_CAMERAS``. bag: topic of its images.
         camera_height: kitti: metres above the road.
         every: take every so many images.
         fps: video: images a second at most.
         max_frames: video: images at most.
         image_format: video: one of ``IMAGE_FORMATS``.
         link: hard links instead of copies where the file system allows it.
+        odometry: bag: topic of the odometry, ``PARENT:CHILD`` of tf, or ``none``.
+        groundtruth: bag: topic of the true poses, or ``PARENT:CHILD`` of tf.
+        base: bag: the robot's frame, on which the camera is mounted.
+        max_gap: bag: seconds between two poses at most for one to be interpolated between them;
+            None: ``DEFAULT_MAX_GAP``.
+        distance: bag: metres from one image to the next.
+        angle: bag: degrees from one image to the next; of both one is enough.
+        start, end: bag: seconds after the camera's first image.
 
     Raises:
         OptionError: a value that is impossible, or two that exclude each other.
@@ -82,11 +118,19 @@ class ImportSettings:
     max_frames: int | None = None
     image_format: str | None = None
     link: bool = False
+    odometry: str | None = None
+    groundtruth: str | None = None
+    base: str | None = None
+    max_gap: float | None = None
+    distance: float | None = None
+    angle: float | None = None
+    start: float | None = None
+    end: float | None = None
 
     def __post_init__(self) -> None:
         if self.kind not in ("auto", *KINDS):
             raise OptionError(f"--from {quoted(self.kind)} is none of auto, {', '.join(KINDS)}")
-        for name in ("focus", "focal", "scale", "camera_height", "fps", "every", "max_frames"):
+        for name in _POSITIVE:
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value > 0.0):
                 raise OptionError(f"{option_name(name)} {value:g} is not positive")
@@ -96,12 +140,11 @@ class ImportSettings:
             math.isfinite(step) and step != 0.0 for step in self.spacing
         ):
             raise OptionError("--spacing must not be zero")
-        for name, choices in (("camera", KITTI_CAMERAS), ("image_format", IMAGE_FORMATS)):
-            value = getattr(self, name)
-            if value is not None and value not in choices:
-                raise OptionError(
-                    f"{option_name(name)} {quoted(value)} is none of {', '.join(choices)}"
-                )
+        if self.start is not None and not (math.isfinite(self.start) and self.start >= 0.0):
+            raise OptionError(f"--start {self.start:g} is negative or not finite")
+        if self.end is not None and self.end <= (self.start or 0.0):
+            raise OptionError(f"--end {self.end:g} does not come after --start {self.start or 0:g}")
+        self._check_choice("image_format", IMAGE_FORMATS)
         for first, second in (("focal", "fov"), ("every", "fps")):
             if getattr(self, first) is not None and getattr(self, second) is not None:
                 raise OptionError(
@@ -120,12 +163,24 @@ class ImportSettings:
                     f"{option_name(name)} means nothing for a source of kind {kind} "
                     f"(only for {', '.join(kinds)})"
                 )
+        if kind == "kitti":
+            self._check_choice("camera", KITTI_CAMERAS)
+
+    def _check_choice(self, name: str, choices: tuple[str, ...]) -> None:
+        value = getattr(self, name)
+        if value is not None and value not in choices:
+            raise OptionError(
+                f"{option_name(name)} {quoted(value)} is none of {', '.join(choices)}"
+            )
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON types for the provenance, without paths and without what changes nothing."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         for name in ("images", "link"):
             del values[name]
+        for name in _OF_BAGS:
+            if values[name] is None:
+                del values[name]
         values["spacing"] = None if self.spacing is None else list(self.spacing)
         return values
 
