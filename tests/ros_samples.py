@@ -169,11 +169,11 @@ class RobotNode:
         publisher = self.tf if stamp else self.tf_static
         publisher.publish(TFMessage(transforms=[message]))
 
-    def publish_image(self, data: bytes, camera: Camera, stamp: int) -> None:
-        """A JPEG, and the camera that took it."""
+    def publish_image(self, data: bytes, camera: Camera, stamp: int, form: str = "jpeg") -> None:
+        """A JPEG or PNG, and the camera that took it."""
         from sensor_msgs.msg import CompressedImage
 
-        message = CompressedImage(format="jpeg", data=data)
+        message = CompressedImage(format=form, data=data)
         message.header.stamp = time_message(stamp)
         message.header.frame_id = self.camera_frame
         self.infos.publish(self.camera_info(camera))
