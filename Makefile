@@ -31,7 +31,7 @@ SEED := 0
 # One process a processor, which keeps to it (tests/conftest.py); files stay whole for what their tests share.
 TEST_WORKERS = -n $(shell nproc 2>/dev/null || getconf _NPROCESSORS_ONLN) --dist loadfile
 
-.PHONY: help install demo demo-sfm demo-dock test test-slow test-lowest test-sanitized lint lint-style lint-types lint-core format wheel bench bench-against docs-settings clean
+.PHONY: help install demo demo-sfm demo-dock test test-slow test-lowest test-sanitized test-ros lint lint-style lint-types lint-core format wheel bench bench-against docs-settings clean
 
 help:
 	@echo "make install      a virtual environment in $(VENV) with lfnav in it"
@@ -40,6 +40,7 @@ help:
 	@echo "make demo-dock    docks a robot in the lobby whose camera images are path-traced -> $(DEMO_DOCK)/report/report.html"
 	@echo "make experiments  many seeds and settings -> out/experiments/*/table.md; makes only what is missing"
 	@echo "make test         the test suite; 'make test-slow' runs the slow tests"
+	@echo "make test-ros     the nodes with the real rclpy, from wheels, in .venv-jazzy"
 	@echo "make lint         ruff, mypy, clang-format and clang-tidy"
 	@echo "make wheel        a wheel for this machine -> dist/, tried in an empty environment"
 	@echo "make bench        measures particles, frames, views, starting, memory, the GPU"
@@ -120,6 +121,10 @@ test-lowest:
 	$(PYTHON) -m venv --clear .venv-lowest
 	.ci/install .venv-lowest --constraint .ci/lowest-versions.txt
 	.venv-lowest/bin/python -m pytest $(TEST_WORKERS)
+
+# The nodes with the real rclpy, from wheels for tests; one suite at a time, for nodes hear each other.
+test-ros: $(STAMP)
+	.ci/test-ros $(VENV_PYTHON) .venv-jazzy
 
 # The C++ core with the compiler's sanitizers, in the tests that reach it.
 test-sanitized: $(STAMP)

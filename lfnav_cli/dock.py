@@ -59,7 +59,8 @@ def parse_fault(
     "--robot",
     metavar="NAME",
     help="Your robot as package.module:Class, or a simulated one: model:SCENE.h5, "
-    "model:WORLD, sim:SCENE.xml, replay:DATASET.",
+    "model:WORLD, sim:SCENE.xml, replay:DATASET; one that is driven over ROS 2: ros2:, "
+    "ros2:ROBOT.toml.",
 )
 @click.option("--goal", metavar="X,Y,DEG", callback=parse_state, help="Goal pose: metres, degrees.")
 @click.option(

@@ -18,6 +18,7 @@ COMMANDS = {
     "render": "Virtual views of a scene model.",
     "localize": "Where was the robot? A particle filter over a data set.",
     "dock": "Drives a robot to a place by what its camera sees.",
+    "ros": "Nodes of ROS 2: where is this robot, from its camera's topic?",
     "evaluate": "Errors of a run against ground truth.",
     "report": "A page with figures that shows how a run went.",
     "sweep": "Many runs with other seeds and settings, one table.",

@@ -27,6 +27,7 @@ INPUT_IS_MISSING = {
     "render": ["missing", "-o", "output", "--pose", "0,0,0"],
     "localize": ["missing", "missing-data", "-o", "output"],
     "dock": ["missing", "-o", "output", "--robot", "model:missing", "--goal", "0,0,0"],
+    "ros localize": ["missing"],
     "evaluate": ["missing"],
     "report": ["missing", "-o", "output"],
     "sweep": ["missing", "-o", "output"],
@@ -34,9 +35,14 @@ INPUT_IS_MISSING = {
     "info": ["missing"],
 }
 
-every_command = pytest.mark.parametrize("name", COMMANDS)
+# Groups have commands of their own.
+GROUPS = {"ros": ("localize",)}
+LEAVES = [name for name in COMMANDS if name not in GROUPS]
+LEAVES += [f"{group} {name}" for group, names in GROUPS.items() for name in names]
+
+every_command = pytest.mark.parametrize("name", LEAVES)
 # The demonstration brings its own.
-every_command_with_input = pytest.mark.parametrize("name", [n for n in COMMANDS if n != "demo"])
+every_command_with_input = pytest.mark.parametrize("name", [n for n in LEAVES if n != "demo"])
 
 
 def run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
@@ -52,7 +58,9 @@ def assert_one_line(text: str) -> None:
     assert text.endswith("\n")
 
 
-@pytest.mark.parametrize("arguments", [["--help"], *([name, "--help"] for name in COMMANDS)])
+@pytest.mark.parametrize(
+    "arguments", [["--help"], *([*name.split(), "--help"] for name in [*COMMANDS, *LEAVES])]
+)
 def test_help_loads_nothing_heavy(arguments: list[str]) -> None:
     program = (
         "import json, sys\n"
@@ -95,7 +103,7 @@ def test_commands_and_modules_are_the_same() -> None:
 def test_help_has_an_example_and_the_common_options(
     name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code, out, err = run([name, "--help"], capsys)
+    code, out, err = run([*name.split(), "--help"], capsys)
     assert code == 0, err
     assert "Example:" in out
     assert f"lfnav {name}" in out.split("Example:")[1]
@@ -107,7 +115,10 @@ def test_help_has_an_example_and_the_common_options(
 
 @every_command
 def test_every_option_is_explained(name: str) -> None:
-    command = main.get_command(click.Context(main), name)
+    command: click.Command | None = main
+    for part in name.split():
+        assert isinstance(command, click.Group)
+        command = command.get_command(click.Context(command), part)
     assert command is not None
     options = [item for item in command.params if isinstance(item, click.Option)]
     assert options
@@ -122,7 +133,7 @@ def test_missing_input_is_one_line_and_leaves_nothing(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    code, out, err = run([name, *INPUT_IS_MISSING[name]], capsys)
+    code, out, err = run([*name.split(), *INPUT_IS_MISSING[name]], capsys)
     assert code == 1
     assert out == ""
     assert_one_line(err)
@@ -135,7 +146,7 @@ def test_verbose_and_quiet_exclude_each_other(
     name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     inputs = INPUT_IS_MISSING.get(name, [])
-    code, _, err = run([name, *inputs, "--verbose", "--quiet"], capsys)
+    code, _, err = run([*name.split(), *inputs, "--verbose", "--quiet"], capsys)
     assert code == 2
     assert_one_line(err)
     assert "--verbose and --quiet" in err
@@ -143,10 +154,10 @@ def test_verbose_and_quiet_exclude_each_other(
 
 @pytest.mark.parametrize(
     ("name", "wrong"),
-    [*((name, ["--no-such-option"]) for name in COMMANDS), *((n, []) for n in INPUT_IS_MISSING)],
+    [*((name, ["--no-such-option"]) for name in LEAVES), *((n, []) for n in INPUT_IS_MISSING)],
 )
 def test_wrong_usage(name: str, wrong: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, err = run([name, *wrong], capsys)
+    code, out, err = run([*name.split(), *wrong], capsys)
     assert code == 2
     assert out == ""
     assert_one_line(err)

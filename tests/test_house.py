@@ -20,7 +20,7 @@ FLOORS = {
     "lightfield": 4,
     "render": 5,
     "localize": 6,
-    "dock": 7,
+    "dock": 8,
     "report": 7,
     "experiments": 7,
     "ros": 7,

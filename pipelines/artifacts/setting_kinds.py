@@ -73,6 +73,12 @@ def _flag_of(text: str) -> bool:
     return text == "true"
 
 
+def _text(value: object) -> str:
+    if not isinstance(value, str):
+        raise TypeError
+    return value
+
+
 def _numbers(value: object, counts: tuple[int, ...]) -> tuple[float, ...]:
     if not isinstance(value, list) or len(value) not in counts:
         raise TypeError
@@ -102,6 +108,7 @@ def _pose_text(state: tuple[float, ...]) -> list[float]:
 WHOLE = Kind("a whole number", "INTEGER", _whole, int, int)
 NUMBER = Kind("a number", "NUMBER", _number, float, float)
 FLAG = Kind("true or false", "", _flag, bool, _flag_of)
+TEXT = Kind("a text", "TEXT", _text, str, str)
 ANGLE = replace(NUMBER, read=lambda value: math.radians(_number(value)), write=degrees_of)
 AREA = Kind(
     "a list of four numbers",
@@ -165,7 +172,7 @@ def or_word(kind: Kind, word: str) -> Kind:
 
 
 def kind_of_type(hint: Any, unit: str) -> Kind:
-    """The kind of values of a type: truth values, numbers, members of an enumeration.
+    """The kind of values of a type: truth values, numbers, texts, members of an enumeration.
 
     Args:
         hint: the type, or one with None.
@@ -182,6 +189,8 @@ def kind_of_type(hint: Any, unit: str) -> Kind:
             return FLAG
         if kind is int:
             return WHOLE
+        if kind is str:
+            return TEXT
         if kind is float:
             return ANGLE if unit == DEGREES else NUMBER
     raise TypeError(f"no setting has the type {hint}")

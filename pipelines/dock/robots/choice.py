@@ -1,4 +1,4 @@
-"""Robots by name: ``model:``, ``replay:``, ``sim:``, or a class of the user."""
+"""Robots by name: ``model:``, ``replay:``, ``sim:``, ``ros2:``, or a class of the user."""
 
 import importlib
 import math
@@ -27,8 +27,10 @@ from pipelines.lightfield.open_world import OpenWorld, checked_scene
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_part, load_scene
 from pipelines.lightfield.world_file import area_path, load_world
+from pipelines.ros.ros_robot import RosRobot
 
 SIMULATED = ("model", "replay", "sim")
+ROS = "ros2"
 
 
 @dataclass(frozen=True)
@@ -66,8 +68,8 @@ def robot_named(
     """The robot that a name stands for, checked.
 
     Args:
-        name: ``model:SCENE.h5``, ``model:WORLD``, ``replay:DATASET``, ``sim:SCENE.xml`` or
-            ``package.module:Class``.
+        name: ``model:SCENE.h5``, ``model:WORLD``, ``replay:DATASET``, ``sim:SCENE.xml``,
+            ``ros2:``, ``ros2:ROBOT.toml`` or ``package.module:Class``.
         scene: scene or world in which it will be docked. A simulated robot starts in its bounds and
             has its camera unless ``options`` say otherwise.
         options: options of a simulated robot.
@@ -77,17 +79,19 @@ def robot_named(
         InputError: a file that the robot needs cannot be used.
         OptionError: the name has another form, or an argument is of another type.
         RobotError: a class of the user violates the robot protocol.
-        StageError: the simulator is not installed.
+        StageError: the simulator is not installed, or there is no ROS 2.
     """
     checked_instance(name, "robot", str)
     checked_scene(scene)
     checked_instance(options, "robot options", RobotOptions)
     checked_number(seed, "seed", 0, whole=True)
     kind, colon, rest = name.partition(":")
+    if kind == ROS and colon:
+        return CheckedRobot(RosRobot(Path(rest) if rest else None))
     if not colon or not rest:
         raise OptionError(
             f"robot {quoted(name)} is none of model:SCENE.h5, model:WORLD, replay:DATASET, "
-            "sim:SCENE.xml, package.module:Class"
+            "sim:SCENE.xml, ros2:ROBOT.toml, package.module:Class"
         )
     if kind not in SIMULATED:
         return CheckedRobot(_user_robot(kind, rest))

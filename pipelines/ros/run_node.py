@@ -1,0 +1,88 @@
+"""Runs a node until it is stopped."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pipelines.artifacts.arguments import checked_number
+from pipelines.artifacts.errors import InputError, StageError
+from pipelines.artifacts.settings_file import Choices
+from pipelines.ros.installation import require_rclpy
+from pipelines.ros.node_settings import effective_settings
+
+if TYPE_CHECKING:
+    from pipelines.ros.managed_node import ManagedNode, NodeRequest
+
+
+def run_localizer(
+    scene: Path,
+    config: Path | None,
+    chosen: Choices,
+    *,
+    seed: int = 0,
+    memory: float | None = None,
+    autostart: bool = False,
+    ros_arguments: Sequence[str] = (),
+) -> None:
+    """Runs the localizer node.
+
+    Args:
+        scene: scene model, or the folder of a world.
+        config: settings file of the localization; None: there is none.
+        chosen: settings by path that win over it.
+        seed: of the filter's random numbers.
+        memory: megabytes that a world may take; None: 1000.
+        autostart: whether the node configures and activates itself.
+        ros_arguments: from ``--ros-args`` on.
+
+    Raises:
+        InputError, OptionError: impossible settings.
+        StageError: there is no ROS 2, or the node could not start itself.
+    """
+    _check(scene, config, chosen, seed)
+    from pipelines.ros.localizer_node import LocalizerNode
+    from pipelines.ros.managed_node import NodeRequest
+
+    request = NodeRequest(scene, config, chosen, seed, memory, autostart)
+    _run(LocalizerNode, request, ros_arguments)
+
+
+def _check(scene: Path, config: Path | None, chosen: Choices, seed: int) -> None:
+    """What can be refused before anything of ROS is loaded."""
+    if not scene.exists():
+        raise InputError(scene, "does not exist")
+    checked_number(seed, "seed", 0, whole=True)
+    effective_settings(config, chosen)
+    require_rclpy()
+
+
+def _run(
+    make: "Callable[[NodeRequest], ManagedNode]",
+    request: "NodeRequest",
+    ros_arguments: Sequence[str],
+) -> None:
+    rclpy: Any = require_rclpy()
+    from rclpy.executors import ExternalShutdownException
+
+    rclpy.init(args=list(ros_arguments))
+    node = None
+    try:
+        node = make(request)
+        if request.autostart:
+            _start(node)
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        # Ctrl-C, or a launch file's end: how a node usually ends.
+        pass
+    finally:
+        if node is not None:
+            node.end()
+            node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def _start(node: "ManagedNode") -> None:
+    for step, wanted in ((node.trigger_configure, "inactive"), (node.trigger_activate, "active")):
+        step()
+        if node.state_name != wanted:
+            raise StageError("the node could not start; the log says why")
