@@ -29,13 +29,12 @@ from pipelines.dataset.images import (
 )
 from pipelines.dataset.mask import MASK_FILE, Mask, read_mask
 from pipelines.geometry.camera import Camera
+from pipelines.geometry.interpolation import PAIRING_TOLERANCE
 from pipelines.geometry.trajectory import Trajectory, read_tum
 
 IMAGE_LIST, DEPTH_LIST, CAMERA_FILE = "rgb.txt", "depth.txt", "camera.toml"
 ODOMETRY_FILE, GROUNDTRUTH_FILE = "odometry.txt", "groundtruth.txt"
 MAX_LIST_BYTES = 64 * 1024**2
-# Half a frame at 25 Hz: what images and poses of the same moment may differ by, in seconds.
-PAIRING_TOLERANCE = 0.02
 VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
 
 _log = logging.getLogger(__name__)

@@ -15,12 +15,12 @@ from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.dataset.dataset import (
     GROUNDTRUTH_FILE,
     ODOMETRY_FILE,
-    PAIRING_TOLERANCE,
     Dataset,
     load_dataset,
 )
 from pipelines.experiments.sweep_result import judged
 from pipelines.experiments.trust_conditions import Condition
+from pipelines.geometry.interpolation import PAIRING_TOLERANCE
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_scene
 from pipelines.localize.run import Run

@@ -16,7 +16,7 @@ import numpy as np
 from pipelines.artifacts.arguments import checked_instance
 from pipelines.artifacts.arrays import BoolArray, FloatArray
 from pipelines.artifacts.errors import InputError, OptionError, quoted
-from pipelines.dataset.dataset import PAIRING_TOLERANCE
+from pipelines.geometry.interpolation import PAIRING_TOLERANCE
 from pipelines.geometry.trajectory import Trajectory, read_tum
 from pipelines.localize.area_evaluation import AreaEvaluation, evaluate_areas
 from pipelines.localize.consistency import (

@@ -20,11 +20,11 @@ from pipelines.artifacts.provenance import provenance, sha256_of_file
 from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.dataset.dataset import (
     ODOMETRY_FILE,
-    PAIRING_TOLERANCE,
     Dataset,
     load_dataset,
     poses_at_images,
 )
+from pipelines.geometry.interpolation import PAIRING_TOLERANCE
 from pipelines.geometry.planarity import check_planar
 from pipelines.lightfield.open_world import OpenWorld, scene_or_world
 from pipelines.lightfield.scene import Scene

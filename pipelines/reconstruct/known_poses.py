@@ -13,10 +13,8 @@ from pipelines.artifacts.arrays import FloatArray, IntArray
 from pipelines.artifacts.errors import InputError
 from pipelines.dataset.dataset import Dataset
 from pipelines.geometry.camera import Camera
+from pipelines.geometry.interpolation import PAIRING_TOLERANCE
 from pipelines.geometry.trajectory import Trajectory, read_tum
-
-# Seconds; the tolerance of the TUM benchmark's tools.
-PAIRING_TOLERANCE = 0.02
 
 
 @dataclass(frozen=True)
