@@ -19,6 +19,8 @@ MAX_GAP = 0.2
 # Half a frame at 25 Hz, the tolerance of the TUM benchmark's tools: a pose so near in time to an
 # image counts as the pose of this image, whatever comes before and after.
 PAIRING_TOLERANCE = 0.02
+# Seconds by which gaps may be longer, since times since 1970 are rounded to a quarter of it.
+_ROUNDING = 1e-6
 # Half angles, radians, below which an arc is as straight as a chord.
 _STRAIGHT = 1e-9
 
@@ -71,7 +73,7 @@ def poses_at_times(
     offsets = np.minimum(np.abs(times[before] - timestamps), np.abs(times[after] - timestamps))
     inside = (times[0] <= timestamps) & (timestamps <= times[-1])
     gaps = times[after] - times[before]
-    is_known = (inside & (gaps <= max_gap)) | (offsets <= tolerance)
+    is_known = (inside & (gaps <= max_gap + _ROUNDING)) | (offsets <= tolerance)
     between = is_known & (gaps > 0.0)
     exact = is_known & ~between
     poses[exact] = trajectory.poses[after[exact]]
