@@ -83,6 +83,7 @@ def reconstruct(
     checked_instance(settings, "settings", ReconstructSettings)
     check_output(output, overwrite, DESCRIPTION_NAME)
     data = load_dataset(dataset, reads_odometry=settings.method != "poses")
+    data, repeated = _without_repeats(data)
     if settings.planar and (data.odometry is None or data.base_from_camera is None):
         # Said before minutes are spent on structure from motion.
         raise InputError(
@@ -106,10 +107,23 @@ def reconstruct(
     else:
         poses = poses_from_odometry(data, settings.max_gap)
         result = _from_known_poses(data, settings, poses, "odometry", progress)
+    if repeated:
+        result = replace(result, dropped=result.dropped | repeated)
     record = provenance("reconstruct", settings.to_dict(), _inputs(data, settings, result))
     save_reconstruction(output, result, record, overwrite)
     shutil.rmtree(unfinished, ignore_errors=True)
     return ReconstructionSummary(output, result)
+
+
+def _without_repeats(data: Dataset) -> tuple[Dataset, dict[str, str]]:
+    """Each image once, and why the others are dropped: a map learns nothing from the same photo."""
+    first: dict[str, int] = {}
+    repeated: dict[str, str] = {}
+    for index, name in enumerate(data.image_names):
+        if first.setdefault(name, index) != index:
+            at = f"{name} at {data.timestamps[index]:.6f}"
+            repeated[at] = f"is the image of {data.timestamps[first[name]]:.6f} once more"
+    return (data.part(first.values()), repeated) if repeated else (data, {})
 
 
 def _check_movement(data: Dataset, planar: bool) -> None:

@@ -114,7 +114,7 @@ def test_record3d_of_other_versions(tmp_path: Path) -> None:
         ({"poses": [[2.0, 0, 0, 0, 0, 0, 0]] * 12}, "the quaternion has length 2"),
         ({"poses": []}, "holds no photo 0.jpg, 1.jpg, ... that has a pose"),
         ({"K": [1.0] * 8}, "K is not made of 9 numbers"),
-        ({"K": [0.0] * 9}, "K: "),
+        ({"K": [0.0] * 9}, "metadata.json: "),
         ({"fps": -1}, "fps -1 is not positive"),
     ],
 )

@@ -105,6 +105,20 @@ def test_a_map_from_poses_at_30_hz_is_the_one_from_exact_poses(tmp_path: Path) -
         assert away.max() < most
 
 
+def test_an_image_that_is_named_again_is_in_the_map_once(tmp_path: Path) -> None:
+    part_of(ELEVATORS, tmp_path / "d", range(3), ["camera.toml", "odometry.txt"])
+    names = ["0000", "0000", "0001", "0000"]
+    lines = [f"{0.5 * index} rgb/{name}.jpg\n" for index, name in enumerate(names)]
+    (tmp_path / "d" / "rgb.txt").write_text("".join(lines), encoding="utf-8")
+    run(tmp_path / "d", tmp_path / "r")
+    found = load_reconstruction(tmp_path / "r")
+    assert found.image_names == ("rgb/0000.jpg", "rgb/0001.jpg")
+    assert found.timestamps.tolist() == [0.0, 1.0]
+    assert found.dropped == {
+        f"rgb/0000.jpg at {time:.6f}": "is the image of 0.000000 once more" for time in (0.5, 1.5)
+    }
+
+
 def test_what_a_method_needs_is_named_where_it_is_missing(tmp_path: Path) -> None:
     part_of(ELEVATORS, tmp_path / "still", range(3), ["camera.toml"])
     with pytest.raises(InputError, match=r"odometry\.txt: does not exist, and --method odometry"):

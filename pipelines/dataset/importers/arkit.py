@@ -5,10 +5,15 @@ gravity. Exports that somebody has turned on the way have z up; the photos were 
 of the two.
 """
 
+from pathlib import Path
+
 import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray
-from pipelines.dataset.importers.nerfstudio import OPENGL_FROM_OPENCV
+from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.dataset.images import read_image_header
+from pipelines.dataset.importers.nerfstudio import OPENGL_FROM_OPENCV, PIXEL_CENTRE_SHIFT
+from pipelines.geometry.camera import Camera
 
 # Takes a world with y up to one with z up: x stays.
 Z_UP_FROM_Y_UP = np.array(
@@ -32,3 +37,29 @@ def poses_with_z_up(world_from_opengl: FloatArray) -> tuple[FloatArray, str]:
     if up[2] > _UPRIGHT and up[2] > up[1]:
         return poses, "the cameras stand upright about the world's z axis, which is kept as up"
     return Z_UP_FROM_Y_UP @ poses, "the world's y axis, ARKit's up, becomes z"
+
+
+def pinhole_of_photo(
+    path: Path, photo: Path, size: tuple[float, float], params: tuple[float, float, float, float]
+) -> Camera:
+    """The camera of a photo, which may be smaller than the pictures that its file speaks of.
+
+    Args:
+        path: the file that says so, for the error.
+        photo: the photo as it is.
+        size: width and height that the file states.
+        params: focal lengths and centre along x and y, of that size, pixel centres at .5.
+
+    Raises:
+        InputError: a size or a camera that cannot be.
+    """
+    header = read_image_header(photo)
+    if min(size) <= 0.0:
+        raise InputError(path, f"{size[0]:g}x{size[1]:g} is no size of a picture")
+    across, down = header.width / size[0], header.height / size[1]
+    focal = (across * params[0], down * params[1])
+    centre = (across * params[2] - PIXEL_CENTRE_SHIFT, down * params[3] - PIXEL_CENTRE_SHIFT)
+    try:
+        return Camera("PINHOLE", header.width, header.height, (*focal, *centre))
+    except OptionError as error:
+        raise InputError(path, str(error)) from error

@@ -9,12 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.artifacts.errors import InputError
 from pipelines.artifacts.json_fields import JsonFields, read_json_object
 from pipelines.dataset.dataset import images_in
-from pipelines.dataset.images import read_image_header
-from pipelines.dataset.importers.arkit import poses_with_z_up
-from pipelines.dataset.importers.nerfstudio import PIXEL_CENTRE_SHIFT
+from pipelines.dataset.importers.arkit import pinhole_of_photo, poses_with_z_up
 from pipelines.dataset.importers.pose_matrix import rigid_pose
 from pipelines.dataset.importers.recording import IMAGE_FOLDER, Recording, SourceFrame, name_below
 from pipelines.geometry.camera import Camera
@@ -71,18 +69,6 @@ def read_polycam(source: Path) -> Recording:
 
 
 def _camera(fields: JsonFields, photo: Path) -> Camera:
-    header = read_image_header(photo)
-    width, height = fields.number("width"), fields.number("height")
-    if width <= 0.0 or height <= 0.0:
-        raise InputError(fields.path, f"width {width:g} and height {height:g} are no size")
-    across, down = header.width / width, header.height / height
-    params = (
-        across * fields.number("fx"),
-        down * fields.number("fy"),
-        across * fields.number("cx") - PIXEL_CENTRE_SHIFT,
-        down * fields.number("cy") - PIXEL_CENTRE_SHIFT,
-    )
-    try:
-        return Camera("PINHOLE", header.width, header.height, params)
-    except OptionError as error:
-        raise InputError(fields.path, str(error)) from error
+    fx, fy, cx, cy = (fields.number(key) for key in ("fx", "fy", "cx", "cy"))
+    size = (fields.number("width"), fields.number("height"))
+    return pinhole_of_photo(fields.path, photo, size, (fx, fy, cx, cy))

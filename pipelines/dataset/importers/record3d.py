@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray
-from pipelines.artifacts.errors import InputError, OptionError
+from pipelines.artifacts.errors import InputError
 from pipelines.artifacts.json_fields import JsonFields, read_json_object
 from pipelines.dataset.dataset import images_in
 from pipelines.dataset.images import read_image_header
-from pipelines.dataset.importers.arkit import poses_with_z_up
-from pipelines.dataset.importers.nerfstudio import PIXEL_CENTRE_SHIFT
+from pipelines.dataset.importers.arkit import pinhole_of_photo, poses_with_z_up
 from pipelines.dataset.importers.recording import IMAGE_FOLDER, Recording, SourceFrame, name_below
 from pipelines.geometry.camera import Camera
 from pipelines.geometry.pose import pose_from_quaternion
@@ -109,18 +108,7 @@ def _camera(fields: JsonFields, photo: Path) -> Camera:
     if matrix[2, 0] != 0.0 or matrix[2, 1] != 0.0:
         matrix = matrix.T
     header = read_image_header(photo)
-    width = fields.number("w") if "w" in fields.values else header.width
-    height = fields.number("h") if "h" in fields.values else header.height
-    if width <= 0.0 or height <= 0.0:
-        raise InputError(fields.path, f"w and h, {width:g} and {height:g}, are no size")
-    # Photos may be smaller than the camera's pictures, of which K speaks.
-    across, down = header.width / width, header.height / height
-    centre = (
-        across * matrix[0, 2] - PIXEL_CENTRE_SHIFT,
-        down * matrix[1, 2] - PIXEL_CENTRE_SHIFT,
-    )
-    focal = (across * matrix[0, 0], down * matrix[1, 1])
-    try:
-        return Camera("PINHOLE", header.width, header.height, (*focal, *centre))
-    except OptionError as error:
-        raise InputError(fields.path, f"K: {error}") from error
+    width = fields.number("w") if "w" in fields.values else float(header.width)
+    height = fields.number("h") if "h" in fields.values else float(header.height)
+    params = (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2])
+    return pinhole_of_photo(fields.path, photo, (width, height), params)
