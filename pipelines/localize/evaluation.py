@@ -16,7 +16,8 @@ import numpy as np
 from pipelines.artifacts.arguments import checked_instance
 from pipelines.artifacts.arrays import BoolArray, FloatArray
 from pipelines.artifacts.errors import InputError, OptionError, quoted
-from pipelines.dataset.dataset import PAIRING_TOLERANCE
+from pipelines.geometry.interpolation import MAX_GAP, PAIRING_TOLERANCE, poses_at_times
+from pipelines.geometry.time_units import hint_on_times
 from pipelines.geometry.trajectory import Trajectory, read_tum
 from pipelines.localize.area_evaluation import AreaEvaluation, evaluate_areas
 from pipelines.localize.consistency import (
@@ -266,9 +267,14 @@ class RunEvaluation:
 
 
 def evaluate_run_file(
-    run_path: Path, groundtruth_path: Path | None = None, estimate: str | None = None
+    run_path: Path,
+    groundtruth_path: Path | None = None,
+    estimate: str | None = None,
+    max_gap: float = MAX_GAP,
 ) -> RunEvaluation:
     """Evaluates a run file, against a TUM file or the ground truth that it carries itself.
+
+    Arguments are those of ``evaluate_run``.
 
     Raises:
         InputError: a file that cannot be used, no ground truth anywhere, or none that pairs.
@@ -277,7 +283,12 @@ def evaluate_run_file(
     run = load_run(run_path)
     groundtruth = None if groundtruth_path is None else read_tum(groundtruth_path)
     return evaluate_run(
-        run, groundtruth, estimate, run_path=run_path, groundtruth_path=groundtruth_path
+        run,
+        groundtruth,
+        estimate,
+        run_path=run_path,
+        groundtruth_path=groundtruth_path,
+        max_gap=max_gap,
     )
 
 
@@ -288,6 +299,7 @@ def evaluate_run(
     *,
     run_path: Path | str = "run",
     groundtruth_path: Path | str | None = None,
+    max_gap: float = MAX_GAP,
 ) -> RunEvaluation:
     """Compares a run's estimates, and its odometry, with the truth.
 
@@ -297,6 +309,8 @@ def evaluate_run(
         estimate: which estimate; None for the run's default.
         run_path: how errors name the run.
         groundtruth_path: how errors name the ground truth; None: so.
+        max_gap: seconds between two poses of ``groundtruth`` between which the truth is
+            interpolated, at most.
 
     Raises:
         InputError: no ground truth, none that pairs with a frame, or no estimate where there is.
@@ -305,7 +319,7 @@ def evaluate_run(
     checked_instance(run, "the run", Run)
     if groundtruth is not None:
         checked_instance(groundtruth, "ground truth", Trajectory)
-    truth = _true_states(run, groundtruth, run_path, groundtruth_path)
+    truth = _true_states(run, groundtruth, run_path, groundtruth_path, max_gap)
     has_truth = known_states(truth)
     name = run.default_estimate if estimate is None else estimate
     estimated = run.estimated_states(estimate)
@@ -389,6 +403,7 @@ def _true_states(
     groundtruth: Trajectory | None,
     run_path: Path | str,
     groundtruth_path: Path | str | None,
+    max_gap: float,
 ) -> FloatArray:
     """True states ``(N, 3)``, NaN where there is none; at least one is known."""
     if groundtruth is None:
@@ -397,18 +412,15 @@ def _true_states(
                 run_path, "carries no ground truth", "give a TUM file with --groundtruth"
             )
         return run.groundtruth
-    nearest = groundtruth.nearest(run.timestamps, PAIRING_TOLERANCE)
-    paired = nearest >= 0
-    if not np.any(paired):
-        times = run.timestamps
+    found = poses_at_times(groundtruth, run.timestamps, max_gap)
+    if not np.any(found.is_known):
         raise InputError(
             groundtruth_path or "ground truth",
             f"no pose lies within {PAIRING_TOLERANCE:g} s of a frame of {run_path}",
-            f"the frames are from {times[0]:.3f} to {times[-1]:.3f} s, the poses from "
-            f"{groundtruth.timestamps[0]:.3f} to {groundtruth.timestamps[-1]:.3f} s",
+            hint_on_times(run.timestamps, groundtruth.timestamps),
         )
     states = np.full((len(run.frames), run.space.dimension), np.nan)
-    states[paired] = run.space.states(groundtruth.poses[nearest[paired]])
+    states[found.is_known] = run.space.states(found.poses[found.is_known])
     return states
 
 
