@@ -1,7 +1,7 @@
 """A Dask cluster that does the work.
 
 Its workers need lfnav, and the same files under the same paths. The extra ``lfnav[cluster]``
-brings Dask; nothing else imports this module.
+brings Dask, which is imported when a cluster is asked for.
 """
 
 import logging
@@ -20,6 +20,21 @@ _log = logging.getLogger(__name__)
 
 
 @contextmanager
+def dask_needed() -> Iterator[None]:
+    """For a block that imports Dask, or a module that does.
+
+    Raises:
+        OptionError: Dask is not installed.
+    """
+    try:
+        yield
+    except ImportError as error:
+        raise OptionError(
+            f"--scheduler needs Dask ({error}); pip install 'lfnav[cluster]' brings it"
+        ) from error
+
+
+@contextmanager
 def cluster_at(address: str) -> Iterator["Client"]:
     """A connection to a cluster, for the duration of a block.
 
@@ -29,12 +44,8 @@ def cluster_at(address: str) -> Iterator["Client"]:
     Raises:
         OptionError: Dask is not installed, or no scheduler answers at the address.
     """
-    try:
+    with dask_needed():
         from distributed import Client
-    except ImportError as error:
-        raise OptionError(
-            f"--scheduler needs Dask ({error}); pip install 'lfnav[cluster]' brings it"
-        ) from error
     try:
         client = Client(address, timeout=CONNECT_SECONDS)
     except (OSError, ValueError) as error:

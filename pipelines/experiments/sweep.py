@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pipelines.artifacts.atomic import check_output, write_text
+from pipelines.artifacts.cluster import dask_needed
 from pipelines.artifacts.errors import OptionError
 from pipelines.artifacts.file_content import read_text_file
 from pipelines.artifacts.processes import processor_count
@@ -148,12 +149,8 @@ def _outcomes(
     """
     if scheduler is None:
         return run_locally(runs, processes or processor_count())
-    try:
+    with dask_needed():
         from pipelines.experiments.sweep_cluster import run_on_cluster
-    except ImportError as error:
-        raise OptionError(
-            f"--scheduler needs Dask ({error}); pip install 'lfnav[cluster]' brings it"
-        ) from error
     return run_on_cluster(runs, scheduler)
 
 
