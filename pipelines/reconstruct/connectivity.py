@@ -4,6 +4,8 @@ A mapper may join pieces of a scene by a few shared points, or by none. Each pie
 itself and every measure of fit is good, but the relative pose of the pieces is arbitrary.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import scipy
 
@@ -67,12 +69,4 @@ def restrict(model: ColmapModel, rows: list[int]) -> ColmapModel:
 
 
 def _without_points(image: ModelImage, gone: IntArray) -> ModelImage:
-    points = np.where(np.isin(image.points, gone), NO_POINT, image.points)
-    return ModelImage(
-        image.identifier,
-        image.name,
-        image.camera,
-        image.camera_from_world,
-        image.keypoints,
-        points,
-    )
+    return replace(image, points=np.where(np.isin(image.points, gone), NO_POINT, image.points))

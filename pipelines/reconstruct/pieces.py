@@ -26,16 +26,11 @@ def moved(model: ColmapModel, similarity: Similarity) -> ColmapModel:
     poses = inverse(np.array([image.camera_from_world for image in model.images]))
     placed = inverse(similarity.transform_poses(poses))
     images = tuple(
-        ModelImage(image.identifier, image.name, image.camera, pose, image.keypoints, image.points)
+        replace(image, camera_from_world=pose)
         for image, pose in zip(model.images, placed, strict=True)
     )
-    points = model.points
-    positions = similarity.transform_points(points.positions)
-    return ColmapModel(
-        model.cameras,
-        images,
-        ModelPoints(points.identifiers, positions, points.colors, points.errors, points.tracks),
-    )
+    positions = similarity.transform_points(model.points.positions)
+    return replace(model, images=images, points=replace(model.points, positions=positions))
 
 
 def firm_parts(model: ColmapModel) -> list[ColmapModel]:
@@ -87,13 +82,11 @@ def lone_images(
         return ()
     poses, walks = _beside(placed, [image.name for image in left], odometry)
     return tuple(
-        ModelImage(
-            image.identifier,
-            image.name,
-            image.camera,
-            camera_from_world,
-            np.empty((0, 2)),
-            np.empty(0, dtype=np.int64),
+        replace(
+            image,
+            camera_from_world=camera_from_world,
+            keypoints=np.empty((0, 2)),
+            points=np.empty(0, dtype=np.int64),
         )
         for image, camera_from_world, walk in zip(left, inverse(poses), walks, strict=True)
         if walk <= LONE_WALK
@@ -130,16 +123,7 @@ def joined(parts: list[ColmapModel]) -> ColmapModel:
         shift = last_identifier
         for image in part.images:
             points = np.where(image.points == NO_POINT, NO_POINT, image.points + shift)
-            images.append(
-                ModelImage(
-                    image.identifier,
-                    image.name,
-                    image.camera,
-                    image.camera_from_world,
-                    image.keypoints,
-                    points,
-                )
-            )
+            images.append(replace(image, points=points))
         identifiers.append(part.points.identifiers + shift)
         last_identifier += int(part.points.identifiers.max(initial=0))
         tracks.append(part.points.tracks + np.array([rows, 0, 0]))
