@@ -24,6 +24,7 @@ from pipelines.reconstruct.pose_graph import (
     REMAINING_DRIFT,
     Drift,
     Links,
+    beside_nearest,
     correct_drift,
     walked,
 )
@@ -304,7 +305,5 @@ def beside_the_others(poses: FloatArray, before: FloatArray, held: list[int]) ->
     if len(free) == 0:
         return poses
     placed = poses.copy()
-    for row in held:
-        nearest = free[np.argmin(np.abs(free - row))]
-        placed[row] = poses[nearest] @ inverse(before[nearest]) @ before[row]
+    placed[held], _ = beside_nearest(poses[free], free, before, np.array(held, dtype=np.int64))
     return placed

@@ -15,7 +15,7 @@ from pipelines.geometry.pose import inverse
 from pipelines.reconstruct.alignment import MIN_PAIRS, Similarity, align_to_odometry
 from pipelines.reconstruct.colmap_model import NO_POINT, ColmapModel, ModelImage, ModelPoints
 from pipelines.reconstruct.connectivity import firm_pieces, restrict
-from pipelines.reconstruct.pose_graph import walked
+from pipelines.reconstruct.pose_graph import beside_nearest, walked
 
 # Metres from a placed image to one that odometry places: it is good to some centimetres there.
 LONE_WALK = 2.0
@@ -103,15 +103,12 @@ def _beside(
     order = {name: row for row, name in enumerate(odometry)}
     own = np.array(list(odometry.values()))
     path = walked(own)
-    poses = {order[image.name]: inverse(image.camera_from_world) for image in placed.images}
-    rows = np.array(list(poses))
-    found, walks = [], []
-    for name in names:
-        row = order[name]
-        nearest = int(rows[np.argmin(np.abs(rows - row))])
-        found.append(poses[nearest] @ inverse(own[nearest]) @ own[row])
-        walks.append(abs(path[row] - path[nearest]))
-    return np.array(found), np.array(walks)
+    poses = inverse(np.array([image.camera_from_world for image in placed.images]))
+    rows = np.array([order[name] for name in names])
+    found, nearest = beside_nearest(
+        poses, np.array([order[image.name] for image in placed.images]), own, rows
+    )
+    return found, np.abs(path[rows] - path[nearest])
 
 
 def joined(parts: list[ColmapModel]) -> ColmapModel:

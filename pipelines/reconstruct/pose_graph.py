@@ -14,7 +14,13 @@ import scipy
 import scipy.sparse.linalg
 
 from pipelines.artifacts.arrays import BoolArray, FloatArray, IntArray
-from pipelines.geometry.pose import about_z, angle_about_z, pose_from_rotation, wrap_angle
+from pipelines.geometry.pose import (
+    about_z,
+    angle_about_z,
+    inverse,
+    pose_from_rotation,
+    wrap_angle,
+)
 
 # Odometry's drift, as a standard deviation: a share of each step, and radians a root metre; what
 # even a step of no length leaves open.
@@ -90,6 +96,25 @@ def walked(world_from_camera: FloatArray) -> FloatArray:
     """Metres ``(N,)`` walked until each of the photos."""
     steps = np.linalg.norm(np.diff(world_from_camera[:, :3, 3], axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def beside_nearest(
+    poses: FloatArray, placed: IntArray, before: FloatArray, rows: IntArray
+) -> tuple[FloatArray, IntArray]:
+    """Poses of photos that lie to the placed one nearest in time as they lay before.
+
+    Args:
+        poses: ``(P, 4, 4)`` world_from_camera of the placed photos.
+        placed: ``(P,)`` their rows in ``before``; of two as near the one named first counts.
+        before: ``(N, 4, 4)`` of all photos in time order.
+        rows: ``(R,)`` of the photos asked for.
+
+    Returns:
+        world_from_camera ``(R, 4, 4)``, and the row of the nearest photo of each ``(R,)``.
+    """
+    nearest = np.array([np.argmin(np.abs(placed - row)) for row in rows], dtype=np.int64)
+    found = poses[nearest] @ inverse(before[placed[nearest]]) @ before[rows]
+    return found, placed[nearest]
 
 
 def correct_drift(
