@@ -80,13 +80,8 @@ def align_to_odometry(model_from_camera: FloatArray, world_from_camera: FloatArr
         StageError: fewer than three images, odometry that hardly moves, or positions that do not
             fit each other, so that the scale would be made up.
     """
-    if len(model_from_camera) < MIN_PAIRS:
-        raise StageError(
-            f"only {len(model_from_camera)} images have both a pose by structure from motion and "
-            f"odometry; the alignment needs {MIN_PAIRS}"
-        )
-    positions = world_from_camera[:, :3, 3]
-    spread = float(np.sqrt(np.mean(np.sum((positions - positions.mean(axis=0)) ** 2, axis=1))))
+    check_enough(model_from_camera)
+    spread = spread_of(world_from_camera[:, :3, 3])
     if spread < POSITION_FLOOR:
         raise StageError("the odometry hardly moves, so it does not tell the scale")
     similarity = _start(model_from_camera, world_from_camera)
@@ -99,13 +94,44 @@ def align_to_odometry(model_from_camera: FloatArray, world_from_camera: FloatArr
             similarity, model_from_camera, world_from_camera, (position_sigma, rotation_sigma)
         )
     position_errors, rotation_errors = _errors(similarity, model_from_camera, world_from_camera)
-    position_rmse, rotation_rmse = map(_root_mean_square, (position_errors, rotation_errors))
-    if position_rmse > LARGEST_DISAGREEMENT * spread:
+    position_rmse, rotation_rmse = map(root_mean_square, (position_errors, rotation_errors))
+    check_fit(position_rmse, spread)
+    return Alignment(similarity, position_rmse, rotation_rmse)
+
+
+def check_enough(model_from_camera: FloatArray) -> None:
+    """Makes sure that so many poses ``(N, 4, 4)`` tell a similarity.
+
+    Raises:
+        StageError: fewer than ``MIN_PAIRS``.
+    """
+    if len(model_from_camera) < MIN_PAIRS:
         raise StageError(
-            f"structure from motion and odometry do not fit: they differ by {position_rmse:.3f} m "
+            f"only {len(model_from_camera)} images have both a pose by structure from motion and "
+            f"odometry; the alignment needs {MIN_PAIRS}"
+        )
+
+
+def check_fit(error: float, spread: float) -> None:
+    """Makes sure that model and odometry agree, as else the scale would be made up.
+
+    Args:
+        error: metres by which they differ (root mean square).
+        spread: metres over which the cameras spread.
+
+    Raises:
+        StageError: they do not.
+    """
+    if error > LARGEST_DISAGREEMENT * spread:
+        raise StageError(
+            f"structure from motion and odometry do not fit: they differ by {error:.3f} m "
             f"where the cameras spread over {spread:.3f} m"
         )
-    return Alignment(similarity, position_rmse, rotation_rmse)
+
+
+def spread_of(positions: FloatArray) -> float:
+    """Root mean square distance of positions ``(N, 3)`` from their mean."""
+    return root_mean_square(positions - positions.mean(axis=0))
 
 
 def align_by_convention(model_from_camera: FloatArray, scale: float) -> Similarity:
@@ -136,7 +162,7 @@ def align_by_convention(model_from_camera: FloatArray, scale: float) -> Similari
     return Similarity(scale, rotation, -scale * rotation @ model_from_camera[0, :3, 3])
 
 
-def _root_mean_square(errors: FloatArray) -> float:
+def root_mean_square(errors: FloatArray) -> float:
     """Root mean square of the lengths of vectors ``(N, 3)``."""
     return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
 

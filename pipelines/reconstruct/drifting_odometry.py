@@ -18,12 +18,15 @@ from pipelines.artifacts.errors import StageError
 from pipelines.geometry.pose import about_z, angle_about_z
 from pipelines.reconstruct.alignment import (
     DEVIATION_PER_MEDIAN,
-    LARGEST_DISAGREEMENT,
-    MIN_PAIRS,
     POSITION_FLOOR,
     ROTATION_FLOOR,
     Similarity,
+    check_enough,
+    check_fit,
+    root_mean_square,
+    spread_of,
 )
+from pipelines.reconstruct.pose_graph import walked
 
 # Photos over which drift is compared with what a single photo leaves open.
 LAGS = (1, 16)
@@ -58,16 +61,12 @@ def align_to_drifting_odometry(
         StageError: fewer than three photos, odometry or a model that stands still, or both do not
             fit each other at all.
     """
-    if len(model_from_camera) < MIN_PAIRS:
-        raise StageError(
-            f"only {len(model_from_camera)} images have both a pose by structure from motion and "
-            f"odometry; the alignment needs {MIN_PAIRS}"
-        )
+    check_enough(model_from_camera)
     upright = _upright(model_from_camera, world_from_camera)
     odometry = world_from_camera[:, :3, 3]
     model = model_from_camera[:, :3, 3] @ upright.T
     scale = _scale(model, odometry)
-    path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(odometry, axis=0), axis=1))])
+    path = walked(world_from_camera)
 
     turned = upright @ model_from_camera[:, :3, :3]
     turns = np.unwrap(angle_about_z(world_from_camera[:, :3, :3] @ turned.swapaxes(1, 2)))
@@ -83,7 +82,7 @@ def align_to_drifting_odometry(
 
     similarity = Similarity(scale, rotation, translation)
     apart = similarity.transform_points(model_from_camera[:, :3, 3]) - odometry
-    _check_fit(apart, odometry)
+    check_fit(root_mean_square(apart), spread_of(odometry))
     distances = np.linalg.norm(apart, axis=1)
     return DriftAlignment(similarity, float(distances.max()), float(np.abs(heading_drift).max()))
 
@@ -145,13 +144,3 @@ def _scale(model: FloatArray, odometry: FloatArray) -> float:
         weights = 1.0 / (1.0 + (errors / (3.0 * usual)) ** 2)
         ratio = float(np.sum(weights * in_world * in_model) / np.sum(weights * in_model**2))
     return ratio
-
-
-def _check_fit(apart: FloatArray, odometry: FloatArray) -> None:
-    error = float(np.sqrt(np.mean(np.sum(apart**2, axis=1))))
-    spread = float(np.sqrt(np.mean(np.sum((odometry - odometry.mean(axis=0)) ** 2, axis=1))))
-    if error > LARGEST_DISAGREEMENT * spread:
-        raise StageError(
-            f"structure from motion and odometry do not fit: they differ by {error:.3f} m where "
-            f"the cameras spread over {spread:.3f} m"
-        )
