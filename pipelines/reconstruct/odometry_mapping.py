@@ -64,18 +64,19 @@ MIN_POINTS = 25
 POSES = "poses.npy"
 
 
-def links_in(database: Path, names: list[str], compared: Pairs) -> Links:
+def links_in(database: Path, row_of_name: dict[str, int], compared: Pairs) -> Links:
     """What the verified pairs in COLMAP's database say of the photos' poses.
 
     Args:
         database: after matching.
-        names: of the photos.
+        row_of_name: rows of the photos.
         compared: the pairs that are looked at; after a kill there may be others.
     """
     import pycolmap
 
     with pycolmap.Database.open(database) as opened:
-        row_of_image = _rows_of_images(opened, names)
+        images = opened.read_all_images()
+        row_of_image = {image.image_id: row_of_name[image.name] for image in images}
         numbers, geometries = opened.read_two_view_geometries()
     wanted = set(compared)
     pairs, rotations, directions = [], [], []
@@ -99,12 +100,6 @@ def links_in(database: Path, names: list[str], compared: Pairs) -> Links:
         np.array(rotations).reshape(count, 3, 3),
         np.array(directions).reshape(count, 3),
     )
-
-
-def _rows_of_images(database: Any, names: list[str]) -> dict[int, int]:
-    """Number of an image in the database -> its row in ``names``."""
-    row_of_name = {name: row for row, name in enumerate(names)}
-    return {image.image_id: row_of_name[image.name] for image in database.read_all_images()}
 
 
 def pairs_to_compare(
@@ -151,6 +146,7 @@ class OdometryMapping:
         seed: int,
     ) -> None:
         self._database, self._images, self._names = database, images, names
+        self._row_of_name = {name: row for row, name in enumerate(names)}
         self._camera, self._odometry, self._seed = camera, odometry, seed
 
     def compare(self, match: Callable[[Pairs], None]) -> FloatArray:
@@ -170,7 +166,7 @@ class OdometryMapping:
         for drift in (ODOMETRY_DRIFT, REMAINING_DRIFT):
             compared |= set(pairs_to_compare(self._camera, poses, path, drift, descriptors))
             match(sorted(compared))
-            links = links_in(self._database, self._names, sorted(compared))
+            links = links_in(self._database, self._row_of_name, sorted(compared))
             corrected = correct_drift(self._odometry, poses, links, drift, reach)
             poses = corrected.world_from_camera
         self._remove(links.pairs[~corrected.fitting])
@@ -263,17 +259,16 @@ class OdometryMapping:
         options.ceres.solver_options.max_num_iterations = ITERATIONS
         options.ceres.solver_options.function_tolerance = TOLERANCE
         config = pycolmap.BundleAdjustmentConfig()
-        row_of_name = {name: row for row, name in enumerate(self._names)}
         held, priors = [], []
         for number in sorted(model.reg_image_ids()):
             image = model.image(number)
             config.add_image(number)
             if image.num_points3D < MIN_POINTS:
                 config.set_constant_rig_from_world_pose(image.frame_id)
-                held.append(row_of_name[image.name])
+                held.append(self._row_of_name[image.name])
             prior = pycolmap.PosePrior()
             prior.corr_data_id = image.data_id
-            prior.position = start[row_of_name[image.name], :3, 3]
+            prior.position = start[self._row_of_name[image.name], :3, 3]
             prior.position_covariance = np.diag([PLACE_SIGMA, PLACE_SIGMA, HEIGHT_SIGMA]) ** 2
             prior.coordinate_system = pycolmap.PosePriorCoordinateSystem.CARTESIAN
             priors.append(prior)
@@ -285,11 +280,10 @@ class OdometryMapping:
     def _poses_of(self, model: Any) -> FloatArray:
         """World_from_camera ``(N, 4, 4)`` of the model's photos."""
         poses = np.tile(np.eye(4), (len(self._names), 1, 1))
-        row_of_name = {name: row for row, name in enumerate(self._names)}
         for number in model.reg_image_ids():
             image = model.image(number)
             camera_from_world = image.cam_from_world().matrix()
-            poses[row_of_name[image.name], :3] = camera_from_world
+            poses[self._row_of_name[image.name], :3] = camera_from_world
         return inverse(poses)
 
 
