@@ -9,9 +9,9 @@ embedding, Jegou, Douze, Schmid 2008): features that show the same differ in few
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 
 from pipelines.artifacts.arrays import Float32Array, IntArray
+from pipelines.reconstruct.clustering import k_means, nearest_centres
 
 # A signature has a bit for each of so many principal components.
 DIMENSIONS = 64
@@ -24,8 +24,6 @@ ITERATIONS = 8
 LEARNT_A_WORD = 16
 # Principal components are those of so many features.
 PRINCIPAL_SAMPLE = 50_000
-# Distances that are in memory at once.
-MAX_DISTANCES = 4_000_000
 # Other words that are looked up beside the nearest one lie in so many of the first level's cells.
 NEAR_CELLS = 2
 
@@ -76,7 +74,7 @@ class Vocabulary:
         """Of each near cell the ``count`` nearest words, and their distances, less a constant."""
         size = len(self.coarse)
         cells = 1 if count == 1 else NEAR_CELLS
-        near = _nearest(points, self.coarse, cells)[0]
+        near = nearest_centres(points, self.coarse, cells)[0]
         words = np.empty((len(points), cells, count), dtype=np.int64)
         distances = np.empty((len(points), cells, count), dtype=np.float32)
         for column in range(cells):
@@ -84,7 +82,7 @@ class Vocabulary:
             ends = np.searchsorted(near[order, column], np.arange(size + 1))
             for cell in np.flatnonzero(np.diff(ends)):
                 rows = order[ends[cell] : ends[cell + 1]]
-                found, distance = _nearest(points[rows], self.fine[cell], count)
+                found, distance = nearest_centres(points[rows], self.fine[cell], count)
                 words[rows, column] = size * cell + found
                 distances[rows, column] = distance
         shape = len(points), cells * count
@@ -109,7 +107,7 @@ def learn_vocabulary(
     points = descriptors @ projection - mean @ projection
     size = centres_for(features)
     coarse = _centres(points, size, rng)
-    cell = _nearest(points, coarse, 1)[0][:, 0]
+    cell = nearest_centres(points, coarse, 1)[0][:, 0]
     fine = np.stack([_centres(points[cell == i], size, rng, coarse[i]) for i in range(size)])
     return Vocabulary(mean, projection, coarse, fine)
 
@@ -124,25 +122,6 @@ def sample_size(features: int) -> int:
     return min(features, LEARNT_A_WORD * centres_for(features) ** 2)
 
 
-def _nearest(
-    points: Float32Array, centres: Float32Array, count: int
-) -> tuple[IntArray, Float32Array]:
-    """The nearest centres ``(P, count)``, and squared distances less the points' squared norms."""
-    numbers = np.empty((len(points), count), dtype=np.int64)
-    distances = np.empty((len(points), count), dtype=np.float32)
-    lengths = np.sum(centres**2, axis=1)
-    step = max(1, MAX_DISTANCES // len(centres))
-    for start in range(0, len(points), step):
-        rows = slice(start, start + step)
-        every = lengths - 2.0 * points[rows] @ centres.T
-        if count == 1:
-            numbers[rows] = every.argmin(axis=1)[:, None]
-        else:
-            numbers[rows] = np.argpartition(every, count - 1, axis=1)[:, :count]
-        distances[rows] = np.take_along_axis(every, numbers[rows], axis=1)
-    return numbers, distances
-
-
 def _centres(
     points: Float32Array,
     count: int,
@@ -152,15 +131,5 @@ def _centres(
     """Centres ``(count, 64)`` of points by k-means; of no points the fallback, many times."""
     if len(points) == 0:
         return np.tile(np.float32(0.0) if fallback is None else fallback, (count, 1))
-    centres = points[rng.choice(len(points), count, replace=len(points) < count)]
-    rows = np.arange(len(points))
-    for _ in range(ITERATIONS):
-        nearest = _nearest(points, centres, 1)[0][:, 0]
-        members = scipy.sparse.csr_array(
-            (np.ones(len(points), dtype=np.float32), (nearest, rows)), shape=(count, len(points))
-        )
-        sizes = np.bincount(nearest, minlength=count)[:, None]
-        # A centre without points stays where it is.
-        centres = np.where(sizes > 0, members @ points / np.maximum(sizes, 1), centres)
-        centres = centres.astype(np.float32)
-    return centres
+    start = points[rng.choice(len(points), count, replace=len(points) < count)]
+    return k_means(points, start, ITERATIONS)

@@ -13,6 +13,7 @@ import numpy as np
 
 from pipelines.artifacts.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from pipelines.artifacts.errors import StageError, reason_of
+from pipelines.reconstruct.clustering import k_means, nearest_centres
 from pipelines.reconstruct.pose_graph import Drift
 
 WORDS, ITERATIONS = 32, 10
@@ -116,27 +117,16 @@ def _features(connection: sqlite3.Connection, name: str) -> Float32Array:
 
 
 def _words(features: Float32Array, generator: np.random.Generator) -> Float32Array:
-    """Means ``(WORDS, D)`` of clusters (Lloyd's algorithm)."""
+    """Means ``(WORDS, D)`` of clusters of features; zeros where there are none."""
     if len(features) == 0:
         return np.zeros((1, features.shape[1]), dtype=np.float32)
-    words = features[generator.permutation(len(features))[:WORDS]]
-    for _ in range(ITERATIONS):
-        nearest = _nearest(features, words)
-        for word in range(len(words)):
-            own = features[nearest == word]
-            if len(own):
-                words[word] = own.mean(axis=0)
-    return words
-
-
-def _nearest(features: Float32Array, words: Float32Array) -> IntArray:
-    distances = np.sum(words**2, axis=1) - 2.0 * features @ words.T
-    return np.asarray(np.argmin(distances, axis=1))
+    start = features[generator.permutation(len(features))[:WORDS]]
+    return k_means(features, start, ITERATIONS)
 
 
 def _aggregated(features: Float32Array, words: Float32Array) -> Float32Array:
-    nearest = _nearest(features, words)
-    of_word = (nearest[:, None] == np.arange(len(words))).astype(np.float32)
+    nearest, _ = nearest_centres(features, words, 1)
+    of_word = (nearest == np.arange(len(words))).astype(np.float32)
     sums = of_word.T @ features - of_word.sum(axis=0)[:, None] * words
     sums /= np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-9)
     vector = np.sign(sums) * np.sqrt(np.abs(sums))

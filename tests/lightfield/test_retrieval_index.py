@@ -163,7 +163,7 @@ def test_parts_are_taken_one_after_the_other(monkeypatch: pytest.MonkeyPatch) ->
     early, late = [{number: features[number] for number in part} for part in ((0, 2, 5), (1, 3))]
     together = build_retrieval_index([lambda: early | late], 6, np.random.default_rng(0))
     # And in steps of a few features.
-    monkeypatch.setattr("pipelines.lightfield.visual_words.MAX_DISTANCES", 40)
+    monkeypatch.setattr("pipelines.reconstruct.clustering.MAX_DISTANCES", 40)
     apart = build_retrieval_index([lambda: early, lambda: late], 6, np.random.default_rng(0))
     assert apart.count == 6
     for name in ("starts", "photos", "signatures"):
