@@ -12,7 +12,7 @@ import json
 import logging
 import multiprocessing
 import signal
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -195,20 +195,23 @@ def _built_by(pool: Executor, tasks: Sequence[AreaTask], progress: Progress) -> 
     except (LfnavError, KeyboardInterrupt):
         _cancel(waiting)
         raise
+    except BrokenProcessPool as error:
+        # It ends by itself, and stumbles over futures that were cancelled meanwhile.
+        raise _lost("was ended, for lack of memory perhaps", tasks, built) from error
     except Exception as error:
-        # A process was killed, or a worker of a cluster has another lfnav, other files, no room.
-        if not isinstance(error, BrokenProcessPool):
-            # A broken pool ends by itself, and stumbles over futures that were cancelled meanwhile.
-            _cancel(waiting)
-        names = ", ".join(task.name for number, task in enumerate(tasks) if number not in built)
-        how = "was ended, for lack of memory perhaps"
-        if not isinstance(error, BrokenProcessPool):
-            how = f"failed ({quoted(f'{type(error).__name__}: {error}')})"
-        raise StageError(
-            f"a process that built an area {how}; finished areas are kept, missing are {names}: "
-            "run it again, with fewer processes at once"
-        ) from error
+        # A worker of a cluster was lost, or has another lfnav, other files, no room.
+        _cancel(waiting)
+        how = f"failed ({quoted(f'{type(error).__name__}: {error}')})"
+        raise _lost(how, tasks, built) from error
     return [built[number] for number in range(len(tasks))]
+
+
+def _lost(how: str, tasks: Sequence[AreaTask], built: Container[int]) -> StageError:
+    missing = ", ".join(task.name for number, task in enumerate(tasks) if number not in built)
+    return StageError(
+        f"a process that built an area {how}; finished areas are kept, missing are {missing}: "
+        "run it again, with fewer processes at once"
+    )
 
 
 def _cancel(futures: Iterable[Future[BuiltArea]]) -> None:
