@@ -11,7 +11,8 @@ import math
 import os
 import re
 import stat
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -27,6 +28,7 @@ from pipelines.dataset.images import (
     read_image_bytes,
     read_image_header,
 )
+from pipelines.dataset.left_out import OTHER, VIDEO_SUFFIXES, files_left_out, left_out_text
 from pipelines.dataset.mask import MASK_FILE, Mask, read_mask
 from pipelines.geometry.camera import Camera
 from pipelines.geometry.trajectory import Trajectory, read_tum
@@ -36,7 +38,9 @@ ODOMETRY_FILE, GROUNDTRUTH_FILE = "odometry.txt", "groundtruth.txt"
 MAX_LIST_BYTES = 64 * 1024**2
 # Half a frame at 25 Hz: what images and poses of the same moment may differ by, in seconds.
 PAIRING_TOLERANCE = 0.02
-VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
+
+# What is read from a plain folder besides its images.
+_KNOWN_FILES = (CAMERA_FILE, MASK_FILE)
 
 _log = logging.getLogger(__name__)
 
@@ -59,6 +63,7 @@ class Dataset:
             data set has no depth images at all.
         depth_scale: value in a depth image / depth_scale = metres; None where nothing says.
         mask: of what the camera always sees; None where there is none.
+        left_out: what else lies in a plain folder of images: reason -> number of files.
     """
 
     root: Path
@@ -71,6 +76,7 @@ class Dataset:
     depth_names: tuple[str | None, ...] | None
     depth_scale: float | None
     mask: Mask | None = None
+    left_out: Mapping[str, int] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.image_names)
@@ -152,12 +158,14 @@ def load_dataset(
         for name, path in (("odometry", odometry), ("ground truth", groundtruth), ("mask", mask))
     )
     _check_folder(root)
+    left_out: dict[str, int] = {}
     if (root / IMAGE_LIST).is_file():
         timestamps, names = _read_list(root, IMAGE_LIST)
     else:
         _check_plain(root)
         names = _plain_images(root)
         timestamps = np.arange(len(names), dtype=np.float64)
+        left_out = _left_out(root, names)
     camera_path = root / CAMERA_FILE
     camera_file = read_camera_file(camera_path) if camera_path.is_file() else None
     size = _checked_size(root, names, camera_file)
@@ -174,6 +182,7 @@ def load_dataset(
         mask=_read_mask(
             root, mask, size, f"{CAMERA_FILE} says" if camera_file else f"{names[0]} is"
         ),
+        left_out=left_out,
     )
     _log.info("%s: %d images", root, len(dataset))
     return dataset
@@ -304,10 +313,12 @@ def _plain_images(root: Path) -> tuple[str, ...]:
     found = {folder.name: images_in(folder) for folder in folders}
     found = {folder: images for folder, images in found.items() if images}
     if not found:
+        others = files_left_out(root, _KNOWN_FILES)
+        others = {reason: count for reason, count in others.items() if reason != OTHER}
         raise InputError(
             root,
             f"holds no {IMAGE_LIST} and no images ({', '.join(IMAGE_SUFFIXES)})",
-            "give the folder that holds them",
+            f"not read: {left_out_text(others)}" if others else "give the folder that holds them",
         )
     if len(found) > 1:
         raise InputError(
@@ -317,8 +328,20 @@ def _plain_images(root: Path) -> tuple[str, ...]:
     return tuple(f"{folder}/{image}" for image in images)
 
 
+def _left_out(root: Path, names: tuple[str, ...]) -> dict[str, int]:
+    """What a plain folder holds besides its images; a warning says it where it may be photos."""
+    folder = (root / names[0]).parent
+    counts = files_left_out(root, {*names, *_KNOWN_FILES, folder.name})
+    if folder != root:
+        for reason, count in files_left_out(folder, {Path(name).name for name in names}).items():
+            counts[reason] = counts.get(reason, 0) + count
+    if counts.keys() - {OTHER}:
+        _log.warning("%s: %d images are taken, not %s", root, len(names), left_out_text(counts))
+    return counts
+
+
 def images_in(folder: Path) -> tuple[str, ...]:
-    """Names of the JPEG and PNG files in a folder, in natural order.
+    """Names of the photos in a folder that are of a kind that is read, in natural order.
 
     Raises:
         InputError: the folder cannot be read.
@@ -350,7 +373,10 @@ def natural_key(name: str) -> tuple[list[tuple[int, str]], str]:
 def _checked_size(
     root: Path, names: tuple[str, ...], camera_file: CameraFile | None
 ) -> tuple[int, int]:
-    """Width and height of all images: the camera's, or the first image's."""
+    """Width and height of all images: the camera's, or the first image's.
+
+    Without a camera some may be turned against the others: portrait and landscape.
+    """
     expected: tuple[int, int] | None = None
     if camera_file is not None:
         expected = (camera_file.camera.width, camera_file.camera.height)
@@ -359,7 +385,7 @@ def _checked_size(
         size = (header.width, header.height)
         if expected is None:
             expected = size
-        if size != expected:
+        if size != expected and (camera_file is not None or size[::-1] != expected):
             others = None if camera_file is not None else names[0]
             raise _wrong_size(root / name, size, expected, others)
     if expected is None:
@@ -374,7 +400,9 @@ def _wrong_size(
     return InputError(
         path,
         f"is {size[0]}x{size[1]} pixels, {whose} {expected[0]}x{expected[1]}",
-        "a data set has one camera and one size",
+        "a data set has one camera and one size"
+        if other is not None or size[::-1] != expected
+        else f"without {CAMERA_FILE} structure from motion takes portrait and landscape alike",
     )
 
 

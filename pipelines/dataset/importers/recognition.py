@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipelines.artifacts.errors import InputError
-from pipelines.dataset.dataset import IMAGE_LIST, VIDEO_SUFFIXES, images_in
+from pipelines.dataset.dataset import IMAGE_LIST, images_in
 from pipelines.dataset.importers.camera_grid import grid_files
 from pipelines.dataset.importers.nerfstudio import find_transforms
 from pipelines.dataset.importers.settings import KINDS
 from pipelines.dataset.importers.seven_scenes import FRAME_NAME
+from pipelines.dataset.left_out import VIDEO_SUFFIXES
 
 # Where a COLMAP model may lie in a project; "" is the project's folder itself.
 MODEL_FOLDERS = ("", "sparse", "sparse/0", "0")
