@@ -44,7 +44,7 @@ RECONSTRUCTION_FOLDER = "reconstruction"
 # Source -> what reads it. Videos are decoded into the data set, COLMAP models bring points along.
 _READERS: dict[str, Callable[[Path, ImportSettings], Recording]] = {
     "grid": read_camera_grid,
-    "nerfstudio": lambda source, _: read_nerfstudio(source),
+    "nerfstudio": lambda source, settings: read_nerfstudio(source, settings.allow_missing),
     "kitti": read_kitti,
     "7scenes": read_seven_scenes,
 }
