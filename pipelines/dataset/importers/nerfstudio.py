@@ -26,6 +26,9 @@ from pipelines.dataset.importers.recording import (
 from pipelines.dataset.importers.source_files import all_inside, check_missing, files_below
 from pipelines.geometry.camera import Camera
 
+TIME = "timestamp"
+# Nothing was recorded so many seconds (the year 5138) after any beginning.
+NO_SECONDS = 1e11
 FILE_NAMES = ("transforms.json", "transforms_train.json")
 MAX_FILE_BYTES = 256 * 1024**2
 PIXEL_CENTRE_SHIFT = 0.5
@@ -60,7 +63,9 @@ def find_transforms(source: Path) -> Path | None:
 
 
 def read_nerfstudio(source: Path, allow_missing: float | None = None) -> Recording:
-    """Reads the images that a ``transforms.json`` names, in natural order of their names.
+    """Reads the images that a ``transforms.json`` names.
+
+    They are in the order of their times where each frame has a ``timestamp``, else of their names.
 
     Args:
         source: the file, or the folder that holds it.
@@ -85,29 +90,54 @@ def read_nerfstudio(source: Path, allow_missing: float | None = None) -> Recordi
     there = [index for index, file in enumerate(files) if file.is_there]
     relative = {index: files[index].name for index in there}
     order = sorted(there, key=lambda index: natural_key(relative[index]))
+    times, time_note = _times_of([entries[index] for index in order])
+    if times is None:
+        times = [float(number) for number in range(len(order))]
+    else:
+        order = [index for _, index in sorted(zip(times, order, strict=True))]
+        times = sorted(times)
     double = first_duplicate(list(relative.values()))
     if double is not None:
         raise InputError(path, f"names {double} twice")
     stripped = _common_folder(list(relative.values()))
     cameras: dict[Camera, int] = {}
     frames, poses = [], []
-    for number, index in enumerate(order):
+    for time, index in zip(times, order, strict=True):
         entry, file = entries[index], path.parent / relative[index]
         camera = _camera_of(fields, entry, file)
         frames.append(
             SourceFrame(
                 file,
                 name_below(IMAGE_FOLDER, relative[index][stripped:], path),
-                float(number),
+                time,
                 camera=cameras.setdefault(camera, len(cameras)),
             )
         )
         matrix = entry.get("transform_matrix", list)
         pose = rigid_pose(path, matrix, f"frames[{index}].transform_matrix")
         poses.append(pose @ OPENGL_FROM_OPENCV)
+    if time_note is not None:
+        notes.append(time_note)
     if any("depth_file_path" in entry.values for entry in entries):
         notes.append("depth_file_path: depth of this source is not imported")
     return Recording(tuple(frames), tuple(cameras), np.stack(poses), notes=tuple(notes))
+
+
+def _times_of(entries: list[JsonFields]) -> tuple[list[float] | None, str | None]:
+    """When the images of frames were taken, seconds; else None, and what to say of it."""
+    given = [entry.number(TIME) for entry in entries if entry.values.get(TIME) is not None]
+    if not given:
+        return None, None
+    reason = None
+    if len(given) < len(entries):
+        reason = f"only {len(given)} of {len(entries)} frames have one"
+    elif len(set(given)) < len(given):
+        reason = "several frames have the same"
+    elif max(map(abs, given)) >= NO_SECONDS:
+        reason = "they are no seconds"
+    if reason is not None:
+        return None, f"{TIME}: {reason}, so times are 0, 1, 2, …"
+    return given, None
 
 
 def _common_folder(names: list[str]) -> int:
