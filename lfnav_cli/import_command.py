@@ -76,7 +76,15 @@ def known_kinds() -> list[str]:
     metavar="NAME",
     help="grid: file names, with {row}, {col} and * in them; default r{row}_c{col}.*",
 )
-@click.option("--allow-missing", is_flag=True, help="grid: accept places without an image.")
+@click.option(
+    "--allow-missing",
+    type=float,
+    is_flag=False,
+    flag_value=1.0,
+    metavar="[SHARE]",
+    help="grid, colmap, nerfstudio: leave out images that are gone, up to this share of all, or as "
+    "many as are gone; default: 0.1, grid: none.",
+)
 @click.option(
     "--images", type=click.Path(path_type=Path), help="colmap: folder of the model's photos."
 )
@@ -174,7 +182,7 @@ def command(
     fov: float | None,
     focus: float | None,
     pattern: str | None,
-    allow_missing: bool,
+    allow_missing: float | None,
     images: Path | None,
     scale: float | None,
     upright: bool,

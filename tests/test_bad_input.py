@@ -124,7 +124,9 @@ def truncated_jpeg_on_the_way(place: Place) -> Refusal:
 
 def text_called_jpg(place: Place) -> Refusal:
     (place.data / "rgb/0001.jpg").write_text("not a picture\n" * 100, encoding="utf-8")
-    return Refusal(place.localize(), place.data / "rgb/0001.jpg", "neither a JPEG nor a PNG")
+    return Refusal(
+        place.localize(), place.data / "rgb/0001.jpg", "neither a JPEG, PNG, TIFF nor WebP"
+    )
 
 
 def another_size(place: Place) -> Refusal:
@@ -274,7 +276,7 @@ def mask_that_is_a_jpeg(place: Place) -> Refusal:
 
 
 def mask_that_is_text(place: Place) -> Refusal:
-    return spoilt_mask(place, b"the lower third", "neither a JPEG nor a PNG")
+    return spoilt_mask(place, b"the lower third", "neither a JPEG, PNG, TIFF nor WebP")
 
 
 def other_mask_not_there(place: Place) -> Refusal:

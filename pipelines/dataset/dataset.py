@@ -10,8 +10,8 @@ import logging
 import os
 import re
 import stat
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +28,7 @@ from pipelines.dataset.images import (
     read_image_bytes,
     read_image_header,
 )
+from pipelines.dataset.left_out import BELOW, OTHER, VIDEO_SUFFIXES, files_left_out, left_out_text
 from pipelines.dataset.mask import MASK_FILE, Mask, read_mask
 from pipelines.geometry.camera import Camera
 from pipelines.geometry.interpolation import PAIRING_TOLERANCE
@@ -35,7 +36,9 @@ from pipelines.geometry.trajectory import Trajectory, read_tum
 
 IMAGE_LIST, DEPTH_LIST, CAMERA_FILE = "rgb.txt", "depth.txt", "camera.toml"
 ODOMETRY_FILE, GROUNDTRUTH_FILE = "odometry.txt", "groundtruth.txt"
-VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
+
+# What is read from a plain folder besides its images.
+_KNOWN_FILES = (CAMERA_FILE, MASK_FILE)
 
 _log = logging.getLogger(__name__)
 
@@ -60,6 +63,7 @@ class Dataset:
         mask: of what the camera always sees; None where there is none.
         groundtruth_problem: why the ground truth that is there is not read: only what needs it
             fails.
+        left_out: what else lies in a plain folder of images: reason -> number of files.
     """
 
     root: Path
@@ -73,6 +77,7 @@ class Dataset:
     depth_scale: float | None
     mask: Mask | None = None
     groundtruth_problem: InputError | None = None
+    left_out: Mapping[str, int] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.image_names)
@@ -188,12 +193,14 @@ def load_dataset(
         for name, path in (("odometry", odometry), ("ground truth", groundtruth), ("mask", mask))
     )
     _check_folder(root)
+    left_out: dict[str, int] = {}
     if (root / IMAGE_LIST).is_file():
         timestamps, names = read_image_list(root, IMAGE_LIST)
     else:
         _check_plain(root)
         names = _plain_images(root)
         timestamps = np.arange(len(names), dtype=np.float64)
+        left_out = _left_out(root, names)
     camera_path = root / CAMERA_FILE
     camera_file = read_camera_file(camera_path) if camera_path.is_file() else None
     size = _checked_size(root, names, camera_file)
@@ -212,6 +219,7 @@ def load_dataset(
             root, mask, size, f"{CAMERA_FILE} says" if camera_file else f"{names[0]} is"
         ),
         groundtruth_problem=problem,
+        left_out=left_out,
     )
     _log.info("%s: %d images", root, len(dataset))
     return dataset
@@ -266,10 +274,12 @@ def _plain_images(root: Path) -> tuple[str, ...]:
     found = {folder.name: images_in(folder) for folder in folders}
     found = {folder: images for folder, images in found.items() if images}
     if not found:
+        others = _total(files_left_out(folder, _KNOWN_FILES) for folder in (root, *folders))
+        others = {why: count for why, count in others.items() if why not in (BELOW, OTHER)}
         raise InputError(
             root,
             f"holds no {IMAGE_LIST} and no images ({', '.join(IMAGE_SUFFIXES)})",
-            "give the folder that holds them",
+            f"not read: {left_out_text(others)}" if others else "give the folder that holds them",
         )
     if len(found) > 1:
         raise InputError(
@@ -279,8 +289,27 @@ def _plain_images(root: Path) -> tuple[str, ...]:
     return tuple(f"{folder}/{image}" for image in images)
 
 
+def _left_out(root: Path, names: tuple[str, ...]) -> dict[str, int]:
+    """What a plain folder holds besides its images; a warning says it where it may be photos."""
+    folder = (root / names[0]).parent
+    counts = files_left_out(root, {*names, *_KNOWN_FILES, folder.name})
+    if folder != root:
+        counts = _total([counts, files_left_out(folder, {Path(name).name for name in names})])
+    if counts.keys() - {OTHER}:
+        _log.warning("%s: %d images are taken, not %s", root, len(names), left_out_text(counts))
+    return counts
+
+
+def _total(counts: Iterable[Mapping[str, int]]) -> dict[str, int]:
+    total: dict[str, int] = {}
+    for count in counts:
+        for reason, number in count.items():
+            total[reason] = total.get(reason, 0) + number
+    return total
+
+
 def images_in(folder: Path) -> tuple[str, ...]:
-    """Names of the JPEG and PNG files in a folder, in natural order.
+    """Names of the photos in a folder that are of a kind that is read, in natural order.
 
     Raises:
         InputError: the folder cannot be read.
@@ -312,7 +341,10 @@ def natural_key(name: str) -> tuple[list[tuple[int, str]], str]:
 def _checked_size(
     root: Path, names: tuple[str, ...], camera_file: CameraFile | None
 ) -> tuple[int, int]:
-    """Width and height of all images: the camera's, or the first image's."""
+    """Width and height of all images: the camera's, or the first image's.
+
+    Without a camera some may be turned against the others: portrait and landscape.
+    """
     expected: tuple[int, int] | None = None
     if camera_file is not None:
         expected = (camera_file.camera.width, camera_file.camera.height)
@@ -321,7 +353,7 @@ def _checked_size(
         size = (header.width, header.height)
         if expected is None:
             expected = size
-        if size != expected:
+        if size != expected and (camera_file is not None or size[::-1] != expected):
             others = None if camera_file is not None else names[0]
             raise _wrong_size(root / name, size, expected, others)
     if expected is None:
@@ -336,7 +368,9 @@ def _wrong_size(
     return InputError(
         path,
         f"is {size[0]}x{size[1]} pixels, {whose} {expected[0]}x{expected[1]}",
-        "a data set has one camera and one size",
+        "a data set has one camera and one size"
+        if other is not None or size[::-1] != expected
+        else f"without {CAMERA_FILE} structure from motion takes portrait and landscape alike",
     )
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from pipelines.dataset.dataset import IMAGE_LIST, Dataset, load_dataset
+from pipelines.dataset.left_out import left_out_text
 from pipelines.geometry.trajectory import Trajectory
 
 
@@ -28,6 +29,7 @@ class DatasetDescription:
         rows: list[tuple[str, ...]] = [
             ("data set", str(dataset.root)),
             ("images", str(len(dataset))),
+            *([("not taken", left_out_text(dataset.left_out))] if dataset.left_out else []),
             ("duration", f"{_duration(dataset):.2f} s" if self.has_times else "unknown"),
         ]
         if camera is None:
@@ -59,6 +61,7 @@ class DatasetDescription:
             "kind": "dataset",
             "path": str(dataset.root),
             "images": len(dataset),
+            "not_taken": dict(dataset.left_out),
             "duration": _duration(dataset) if self.has_times else None,
             "camera": None if camera is None else camera.to_dict(),
             "base_from_camera": None

@@ -1,8 +1,8 @@
 """WebP, of which only the plain kind is read: one lossy picture, nothing beside it.
 
-Scene models store photos in it (``lightfield.compact``); data sets are JPEG and PNG. The container
-is checked here, byte for byte, before a decoder sees it: decoders allocate the canvas that a file
-claims, of up to 16383x16383 pixels, when they open it.
+Scene models store photos in it (``lightfield.compact``). The container is checked here, byte for
+byte, before a decoder sees it: decoders allocate the canvas that a file claims, of up to
+16383x16383 pixels, when they open it. Photos of a data set may be of any kind of WebP (``images``).
 """
 
 import io

@@ -99,6 +99,12 @@ def align_to_odometry(model_from_camera: FloatArray, world_from_camera: FloatArr
     return Alignment(similarity, position_rmse, rotation_rmse)
 
 
+def mean_up(world_from_camera: FloatArray, image_ups: FloatArray) -> FloatArray:
+    """Mean ``(3,)`` over cameras ``(N, 4, 4)`` of what is up in their images ``(N, 2)``."""
+    axes = world_from_camera[:, :3, :2]
+    return np.asarray((axes @ image_ups[:, :, None])[..., 0].mean(axis=0))
+
+
 def check_enough(model_from_camera: FloatArray) -> None:
     """Makes sure that so many poses ``(N, 4, 4)`` tell a similarity.
 
@@ -134,20 +140,23 @@ def spread_of(positions: FloatArray) -> float:
     return root_mean_square(positions - positions.mean(axis=0))
 
 
-def align_by_convention(model_from_camera: FloatArray, scale: float) -> Similarity:
+def align_by_convention(
+    model_from_camera: FloatArray, scale: float, image_ups: FloatArray
+) -> Similarity:
     """The world where there is no odometry.
 
-    The origin is the first camera; z points against the mean image-down direction (cameras are
+    The origin is the first camera; z is the mean direction that is up in the images (cameras are
     held upright more often than not); x is the heading of the first camera's optical axis.
 
     Args:
         model_from_camera: ``(N, 4, 4)``.
         scale: length of a unit of the model in units of the world.
+        image_ups: ``(N, 2)`` directions in each image that are up: ``ImageHeader.up``.
 
     Raises:
         StageError: the cameras have no common up direction, or the first looks along it.
     """
-    up = -model_from_camera[:, :3, 1].mean(axis=0)
+    up = mean_up(model_from_camera, image_ups)
     length = float(np.linalg.norm(up))
     if length < 0.1:
         raise StageError("the cameras have no common up direction: their roll is all around")

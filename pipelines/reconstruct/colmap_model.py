@@ -20,24 +20,19 @@ from pipelines.artifacts.errors import InputError, OptionError, quoted
 from pipelines.artifacts.file_content import read_file
 from pipelines.geometry.camera import CAMERA_MODELS, Camera
 from pipelines.geometry.pose import pose_from_quaternion, quaternion_of
+from pipelines.reconstruct.colmap_cameras import (
+    COLMAP_MODELS,
+    MODEL_NAMES,
+    MODEL_NUMBERS,
+    exact_camera,
+    remedy_for,
+)
 
 PIXEL_CENTRE_SHIFT = 0.5
 MAX_MODEL_FILE_BYTES = 2 * 1024**3
 MAX_NAME_BYTES = 4096
 MAX_IMAGE_SIDE = 1_000_000
 NO_POINT = -1
-
-# The numbers that COLMAP's files use for the camera models that this project knows.
-MODEL_NUMBERS = {
-    "SIMPLE_PINHOLE": 0,
-    "PINHOLE": 1,
-    "SIMPLE_RADIAL": 2,
-    "RADIAL": 3,
-    "OPENCV": 4,
-    "OPENCV_FISHEYE": 5,
-    "FULL_OPENCV": 6,
-}
-MODEL_NAMES = {number: name for name, number in MODEL_NUMBERS.items()}
 
 CAMERA_HEADER = struct.Struct("<IiQQ")  # identifier, model, width, height
 IMAGE_HEADER = struct.Struct("<I7dI")  # identifier, quaternion w x y z, translation, camera
@@ -173,12 +168,58 @@ def read_model(folder: Path) -> ColmapModel:
     cameras = _read_cameras(folder / "cameras.bin")
     images = _read_images(folder / "images.bin", cameras)
     points = _read_points(folder / "points3D.bin", images)
-    return ColmapModel(cameras, images, points)
+    return ColmapModel(cameras.known, images, points)
 
 
-def _read_cameras(path: Path) -> dict[int, Camera]:
+@dataclass(frozen=True)
+class ModelCameras:
+    """The cameras of a model that is being read.
+
+    Attributes:
+        known: by COLMAP's number.
+        others: those that no model of this project describes, by number: what to say of them. No
+            harm where no image was taken with them.
+    """
+
+    known: dict[int, Camera]
+    others: dict[int, InputError]
+
+    def add(
+        self, path: Path, identifier: int, model: str, size: tuple[int, int], params: list[float]
+    ) -> None:
+        """Adds what a file says of a camera.
+
+        Raises:
+            InputError: it is there already, or is no camera.
+        """
+        if identifier in self.known or identifier in self.others:
+            raise InputError(path, f"camera {identifier} is there twice")
+        count = COLMAP_MODELS[model][1]
+        if len(params) != count:
+            reason = f"camera model {model} takes {count} params, got {len(params)}"
+            raise InputError(path, f"camera {identifier}: {reason}")
+        exact = exact_camera(model, params)
+        if exact is None:
+            reason = f"camera {identifier} has model {model}, which lfnav does not describe exactly"
+            self.others[identifier] = InputError(path, reason, remedy_for(model))
+        else:
+            self.known[identifier] = camera_from_colmap(path, identifier, exact[0], size, exact[1])
+
+    def check(self, path: Path, image: str, camera: int) -> None:
+        """Makes sure that an image's camera is known.
+
+        Raises:
+            InputError: it is not.
+        """
+        if camera in self.others:
+            raise self.others[camera]
+        if camera not in self.known:
+            raise InputError(path, f"image {quoted(image)} was taken with camera {camera}, unknown")
+
+
+def _read_cameras(path: Path) -> ModelCameras:
     cursor = _Cursor(path, read_file(path, MAX_MODEL_FILE_BYTES))
-    cameras: dict[int, Camera] = {}
+    cameras = ModelCameras({}, {})
     for _ in range(cursor.count(CAMERA_HEADER.size)):
         header = [int(value) for value in cursor.unpack(CAMERA_HEADER)]
         identifier, number, width, height = header
@@ -187,11 +228,9 @@ def _read_cameras(path: Path) -> dict[int, Camera]:
             raise InputError(
                 path, f"camera {identifier} has model number {number}", f"known: {known}"
             )
-        if identifier in cameras:
-            raise InputError(path, f"camera {identifier} is there twice")
         model = MODEL_NAMES[number]
-        params = cursor.unpack(struct.Struct(f"<{len(CAMERA_MODELS[model])}d"))
-        cameras[identifier] = camera_from_colmap(path, identifier, model, (width, height), params)
+        params = cursor.unpack(struct.Struct(f"<{COLMAP_MODELS[model][1]}d"))
+        cameras.add(path, identifier, model, (width, height), list(params))
     cursor.finish()
     return cameras
 
@@ -214,7 +253,7 @@ def camera_from_colmap(
         raise InputError(path, f"camera {identifier}: {error}") from error
 
 
-def _read_images(path: Path, cameras: dict[int, Camera]) -> tuple[ModelImage, ...]:
+def _read_images(path: Path, cameras: ModelCameras) -> tuple[ModelImage, ...]:
     cursor = _Cursor(path, read_file(path, MAX_MODEL_FILE_BYTES))
     images: dict[int, ModelImage] = {}
     for _ in range(cursor.count(IMAGE_HEADER.size + 1 + COUNT.size)):
@@ -226,8 +265,7 @@ def _read_images(path: Path, cameras: dict[int, Camera]) -> tuple[ModelImage, ..
         keypoints = np.frombuffer(cursor.data, KEYPOINT_TYPE, keypoint_count, start)
         if identifier in images:
             raise InputError(path, f"image {identifier} is there twice")
-        if camera not in cameras:
-            raise InputError(path, f"image {quoted(name)} was taken with camera {camera}, unknown")
+        cameras.check(path, name, camera)
         if not np.all(np.isfinite(keypoints["pixel"])):
             raise InputError(path, f"image {quoted(name)} has keypoints that are not finite")
         images[identifier] = ModelImage(

@@ -11,14 +11,14 @@ import numpy as np
 from pipelines.artifacts.arrays import FloatArray, IntArray
 from pipelines.artifacts.errors import InputError, quoted, reason_of
 from pipelines.artifacts.file_content import is_file, read_text_file
-from pipelines.geometry.camera import CAMERA_MODELS, Camera
+from pipelines.reconstruct.colmap_cameras import COLMAP_MODELS
 from pipelines.reconstruct.colmap_model import (
     NO_POINT,
     PIXEL_CENTRE_SHIFT,
     ColmapModel,
+    ModelCameras,
     ModelImage,
     ModelPoints,
-    camera_from_colmap,
     check_tracks,
     image_pose,
     read_model,
@@ -39,7 +39,20 @@ def read_any_model(folder: Path) -> ColmapModel:
     cameras = _read_cameras(folder / "cameras.txt")
     images = _read_images(folder / "images.txt", cameras)
     points = _read_points(folder / "points3D.txt", images)
-    return ColmapModel(cameras, images, points)
+    return ColmapModel(cameras.known, images, points)
+
+
+def image_count(folder: Path) -> int:
+    """How many images a model has, from no more than its list of them; 0 where that is damaged."""
+    path = folder / "images.bin"
+    try:
+        if is_file(path):
+            with path.open("rb") as file:
+                return int.from_bytes(file.read(8), "little")
+        lines = "\n".join(text for _, text in _lines(folder / "images.txt")).strip("\n")
+        return (1 + len(lines.split("\n"))) // 2 if lines else 0
+    except (OSError, InputError):
+        return 0
 
 
 class _Line:
@@ -88,30 +101,27 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
             yield number, line.strip()
 
 
-def _read_cameras(path: Path) -> dict[int, Camera]:
-    cameras: dict[int, Camera] = {}
+def _read_cameras(path: Path) -> ModelCameras:
+    cameras = ModelCameras({}, {})
     for number, text in _lines(path):
         if not text:
             continue
         line = _Line(path, number, text)
         line.at_least(5)
         identifier, model = line.whole(0), line.values[1]
-        if model not in CAMERA_MODELS:
-            known = ", ".join(CAMERA_MODELS)
+        if model not in COLMAP_MODELS:
+            known = ", ".join(COLMAP_MODELS)
             raise InputError(
                 path,
                 f"camera {identifier} has model {quoted(model)}, which is not supported",
                 f"known: {known}",
             )
-        if identifier in cameras:
-            raise InputError(path, f"camera {identifier} is there twice")
         size = (line.whole(2), line.whole(3))
-        params = tuple(line.numbers(slice(4, None)).tolist())
-        cameras[identifier] = camera_from_colmap(path, identifier, model, size, params)
+        cameras.add(path, identifier, model, size, line.numbers(slice(4, None)).tolist())
     return cameras
 
 
-def _read_images(path: Path, cameras: dict[int, Camera]) -> tuple[ModelImage, ...]:
+def _read_images(path: Path, cameras: ModelCameras) -> tuple[ModelImage, ...]:
     """Two lines an image; the second holds its keypoints and is empty where there are none."""
     images: dict[int, ModelImage] = {}
     header: _Line | None = None
@@ -130,11 +140,10 @@ def _read_images(path: Path, cameras: dict[int, Camera]) -> tuple[ModelImage, ..
     return tuple(images.values())
 
 
-def _image(path: Path, header: _Line, points: _Line, cameras: dict[int, Camera]) -> ModelImage:
+def _image(path: Path, header: _Line, points: _Line, cameras: ModelCameras) -> ModelImage:
     header.at_least(10)
     identifier, camera, name = header.whole(0), header.whole(8), header.values[9]
-    if camera not in cameras:
-        raise InputError(path, f"image {quoted(name)} was taken with camera {camera}, unknown")
+    cameras.check(path, name, camera)
     if len(points.values) % 3:
         raise points.error(f"{len(points.values)} values are not x, y, point for each keypoint")
     columns = points.numbers(slice(0, None, 3)), points.numbers(slice(1, None, 3))

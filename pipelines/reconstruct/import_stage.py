@@ -18,6 +18,7 @@ from pipelines.artifacts.errors import InputError, StageError
 from pipelines.artifacts.kinds import is_bag
 from pipelines.artifacts.provenance import provenance, sha256_of_bytes
 from pipelines.artifacts.stages import Progress
+from pipelines.dataset.images import read_image_header
 from pipelines.dataset.importers.camera_grid import read_camera_grid
 from pipelines.dataset.importers.euroc import read_euroc
 from pipelines.dataset.importers.kitti import read_kitti
@@ -31,7 +32,7 @@ from pipelines.dataset.importers.recording import IMAGE_FOLDER, Recording
 from pipelines.dataset.importers.settings import POSED_KINDS, UNSCALED_KINDS, ImportSettings
 from pipelines.dataset.importers.seven_scenes import read_seven_scenes
 from pipelines.dataset.importers.video import extract_frames
-from pipelines.reconstruct.alignment import Similarity, align_by_convention
+from pipelines.reconstruct.alignment import Similarity, align_by_convention, mean_up
 from pipelines.reconstruct.colmap_source import ColmapSource, read_colmap
 from pipelines.reconstruct.import_description import ImportSummary
 from pipelines.reconstruct.reconstruction import (
@@ -48,7 +49,7 @@ RECONSTRUCTION_FOLDER = "reconstruction"
 # Source -> what reads it. Videos are decoded into the data set, COLMAP models bring points along.
 _READERS: dict[str, Callable[[Path, ImportSettings], Recording]] = {
     "grid": read_camera_grid,
-    "nerfstudio": lambda source, _: read_nerfstudio(source),
+    "nerfstudio": lambda source, settings: read_nerfstudio(source, settings.allow_missing),
     "kitti": read_kitti,
     "7scenes": read_seven_scenes,
     "euroc": lambda source, _: read_euroc(source),
@@ -122,7 +123,8 @@ def _fill(
 ) -> ImportSummary:
     """Writes everything into ``folder``, which will be ``output``."""
     posed = found.kind in POSED_KINDS
-    poses, world = _placed(recording, found.kind, settings)
+    ups = np.array([read_image_header(frame.file).up for frame in recording.frames], dtype=float)
+    poses, world = _placed(recording, found.kind, settings, ups)
     hashes = place_images(folder, recording, link=settings.link, decode=posed, progress=progress)
     place_depth(folder, recording, progress)
     write_lists(folder, recording, poses)
@@ -135,7 +137,7 @@ def _fill(
         final = output.absolute() / RECONSTRUCTION_FOLDER
         (folder / RECONSTRUCTION_FOLDER).mkdir()
         write_reconstruction(folder / RECONSTRUCTION_FOLDER, final, content, record)
-    notes = (*recording.notes, *_notes_on_the_world(settings, poses))
+    notes = (*recording.notes, *_notes_on_the_world(settings, poses, ups))
     if found.others:
         notes = (*notes, f"it could also be: {', '.join(found.others)} (say so with --from)")
     summary = ImportSummary(
@@ -180,7 +182,7 @@ def write_import_record(
 
 
 def _placed(
-    recording: Recording, kind: str, settings: ImportSettings
+    recording: Recording, kind: str, settings: ImportSettings, ups: FloatArray
 ) -> tuple[FloatArray | None, Similarity]:
     """world_from_camera in the world of the data set, and that world from the source's."""
     poses = recording.world_from_camera
@@ -191,16 +193,18 @@ def _placed(
     # The world of structure from motion, which LLFF's is, has nothing that is up.
     if settings.upright or kind == "llff":
         try:
-            world = align_by_convention(poses, scale)
+            world = align_by_convention(poses, scale, ups)
         except StageError as error:
             raise StageError(f"--upright: {error}") from error
     return world.transform_poses(poses), world
 
 
-def _notes_on_the_world(settings: ImportSettings, poses: FloatArray | None) -> tuple[str, ...]:
+def _notes_on_the_world(
+    settings: ImportSettings, poses: FloatArray | None, ups: FloatArray
+) -> tuple[str, ...]:
     if poses is None or settings.upright:
         return ()
-    up = -poses[:, :3, 1].mean(axis=0)
+    up = mean_up(poses, ups)
     length = float(np.linalg.norm(up))
     lean = float(np.degrees(np.arccos(np.clip(up[2] / length, -1.0, 1.0)))) if length else 90.0
     if lean <= LEANING_DEG:

@@ -21,7 +21,7 @@ from pipelines.artifacts.errors import InputError, StageError, quoted
 from pipelines.artifacts.processes import WorkerProcess, worker_command
 from pipelines.artifacts.stages import Progress
 from pipelines.dataset.dataset import CAMERA_FILE, ODOMETRY_FILE, Dataset
-from pipelines.dataset.images import image_header
+from pipelines.dataset.images import read_image_header
 from pipelines.geometry.camera import Camera
 from pipelines.geometry.pose import inverse
 from pipelines.reconstruct.checks import (
@@ -38,6 +38,7 @@ from pipelines.reconstruct.colmap_model import ColmapModel, colmap_params, read_
 from pipelines.reconstruct.connectivity import firm_pieces, restrict
 from pipelines.reconstruct.drifting_odometry import align_to_drifting_odometry
 from pipelines.reconstruct.known_poses import KnownPoses, poses_from_odometry
+from pipelines.reconstruct.photo_files import place_photo, turned_back
 from pipelines.reconstruct.photo_pairs import SPATIAL_LIMIT, image_pairs
 from pipelines.reconstruct.pieces import firm_parts, put_together
 from pipelines.reconstruct.settings import ReconstructSettings
@@ -139,7 +140,7 @@ def structure_from_motion(
     # The worker runs in it, where a path from here would lead elsewhere.
     folder = folder.absolute()
     folder.mkdir(parents=True, exist_ok=True)
-    request = _prepare(dataset, settings, odometry, folder)
+    request, turned = _prepare(dataset, settings, odometry, folder)
     own_names = {name: dataset.image_names[index_of(name)] for name in request.names}
     try:
         attempts, findings = _work(request, folder, dataset.camera, own_names, progress)
@@ -170,6 +171,7 @@ def structure_from_motion(
         "camera_estimated": dataset.camera is None,
         **(placement or {}),
     }
+    model = turned_back(model, turned)
     return StructureFromMotion(model, measured, statistics, dropped, placement is not None)
 
 
@@ -205,19 +207,31 @@ def _placed_model(
 
 def _prepare(
     dataset: Dataset, settings: ReconstructSettings, odometry: KnownPoses | None, folder: Path
-) -> Request:
+) -> tuple[Request, set[str]]:
     """Lays out the worker's folder, in which there may be what an earlier call has finished.
 
     The images are linked under numbers: COLMAP orders by name and its lists cannot hold blanks.
+
+    Returns:
+        The request, and the names of images that were turned against the first.
     """
     images, output = folder / "images", folder / "models"
     output.mkdir(exist_ok=True)
     shutil.rmtree(images, ignore_errors=True)
     images.mkdir()
     indices = range(len(dataset)) if odometry is None else odometry.image_index.tolist()
-    names = [f"{index:06d}{Path(dataset.image_names[index]).suffix.lower()}" for index in indices]
-    for index, name in zip(indices, names, strict=True):
-        (images / name).symlink_to(dataset.image_path(index).resolve())
+    header = read_image_header(dataset.image_path(0))
+    size = (header.width, header.height)
+    placed = [
+        place_photo(dataset.image_path(index), images, f"{index:06d}", size) for index in indices
+    ]
+    names, turned = [name for name, _ in placed], {name for name, is_turned in placed if is_turned}
+    if turned and dataset.mask is not None:
+        raise InputError(
+            dataset.root,
+            "has a mask of one size, and photos in portrait and in landscape",
+            "take the mask away, or reconstruct them without each other",
+        )
     pair_file, odometry_file = folder / "pairs.txt", folder / "odometry.npy"
     if odometry is None:
         pairs = image_pairs(len(names), settings.matcher)
@@ -229,7 +243,6 @@ def _prepare(
     if dataset.mask is not None:
         mask_file.write_bytes(dataset.mask.encoded())
     camera = dataset.camera
-    header = image_header(dataset.read_image_bytes(0), dataset.image_path(0))
     return Request(
         images=str(images),
         names=names,
@@ -247,7 +260,7 @@ def _prepare(
         mask=None if dataset.mask is None else str(mask_file),
         odometry=None if odometry is None else str(odometry_file),
         camera=None if odometry is None or camera is None else camera.to_dict(),
-    )
+    ), turned
 
 
 def _work(

@@ -19,7 +19,7 @@ from pipelines.artifacts.processes import WorkerError
 from pipelines.artifacts.provenance import provenance, sha256_of_bytes, sha256_of_file
 from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.dataset.dataset import ODOMETRY_FILE, Dataset, load_dataset
-from pipelines.dataset.images import decode_image
+from pipelines.dataset.images import decode_image, read_image_header
 from pipelines.geometry.planarity import check_planar, check_quaternion_order
 from pipelines.geometry.pose import inverse, planar_state_of
 from pipelines.reconstruct.alignment import Similarity, align_by_convention, align_to_odometry
@@ -257,7 +257,8 @@ def _place(
     if data.odometry is None:
         scale = 1.0 if settings.scale is None else settings.scale
         source = "arbitrary" if settings.scale is None else "--scale"
-        return _Placement(align_by_convention(model_from_camera, scale), source, {})
+        ups = np.array([read_image_header(data.image_path(i)).up for i in indices], dtype=float)
+        return _Placement(align_by_convention(model_from_camera, scale, ups), source, {})
     row_of_index = {index: row for row, index in enumerate(indices)}
     odometry = poses_from_odometry(data, settings.max_gap)
     shared = [

@@ -408,7 +408,7 @@ def test_a_truncated_jpeg_is_named_when_it_is_read(folder: Path) -> None:
 
 @pytest.mark.parametrize(
     ("content", "reason"),
-    [(b"a text, really", "neither a JPEG nor a PNG"), (b"", "is empty")],
+    [(b"a text, really", "neither a JPEG, PNG, TIFF nor WebP"), (b"", "is empty")],
 )
 def test_what_is_no_image_is_named(folder: Path, content: bytes, reason: str) -> None:
     (folder / "rgb" / "2.png").write_bytes(content)
@@ -422,8 +422,8 @@ def test_an_image_of_another_size_than_the_camera(folder: Path) -> None:
 
 def test_images_of_different_sizes(folder: Path) -> None:
     (folder / "camera.toml").unlink()
-    (folder / "rgb" / "2.png").write_bytes(encode_png(picture(0, 16, 12)))
-    refused(folder, folder / "rgb" / "2.png", r"is 12x16 pixels, rgb/0\.png is 16x12")
+    (folder / "rgb" / "2.png").write_bytes(encode_png(picture(0, 16, 14)))
+    refused(folder, folder / "rgb" / "2.png", r"is 14x16 pixels, rgb/0\.png is 16x12")
 
 
 def test_an_image_that_changes_after_loading(folder: Path) -> None:

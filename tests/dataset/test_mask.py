@@ -159,7 +159,7 @@ SPOILT: dict[str, tuple[Callable[[], bytes], str]] = {
     "1 bit": (lambda: encoded(Image.fromarray(GREY > 0)), "1-bit"),
     "16 bit": (lambda: encode_depth(SIXTEEN), "16-bit grey, not 8-bit grey"),
     "JPEG": (lambda: encode_jpeg(GREY), "is a JPEG, not a PNG"),
-    "text": (lambda: b"left third of the picture", "neither a JPEG nor a PNG"),
+    "text": (lambda: b"left third of the picture", "neither a JPEG, PNG, TIFF nor WebP"),
     "empty": (lambda: b"", "is empty"),
     "truncated": (lambda: PNG[: len(PNG) - 20], "damaged or truncated"),
     "a flipped bit": (lambda: PNG[:50] + bytes([PNG[50] ^ 4]) + PNG[51:], "damaged"),

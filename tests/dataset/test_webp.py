@@ -13,7 +13,13 @@ from PIL import Image, features
 
 from pipelines.artifacts.arrays import ImageArray
 from pipelines.artifacts.errors import InputError, StageError
-from pipelines.dataset.images import ImageHeader, decode_image, encode_jpeg, encode_png
+from pipelines.dataset.images import (
+    ImageHeader,
+    decode_image,
+    encode_jpeg,
+    encode_png,
+    image_header,
+)
 from pipelines.dataset.webp import decode_webp, encode_webp, webp_header
 
 READERS = (webp_header, decode_webp)
@@ -92,9 +98,28 @@ def test_other_formats_are_refused(encode: object) -> None:
     assert "no WebP" in refusal(encode(picture()))  # type: ignore[operator]
 
 
-def test_data_sets_do_not_take_webp() -> None:
-    with pytest.raises(InputError, match="neither a JPEG nor a PNG"):
-        decode_image(encode_webp(picture(), 90), "a.webp")
+@pytest.mark.parametrize("kind", ["lossy", "lossless", "with transparency"])
+def test_a_photo_is_refused_by_its_claim_before_a_decoder_sees_it(kind: str) -> None:
+    image = Image.fromarray(picture())
+    if kind == "with transparency":
+        image.putalpha(128)
+    buffer = io.BytesIO()
+    image.save(buffer, "WEBP", lossless=kind == "lossless")
+    data = bytearray(buffer.getvalue())
+    header = image_header(bytes(data), "a.webp")
+    assert (header.format, header.width, header.height) == ("WEBP", *image.size)
+    if kind == "lossy":
+        data[26:30] = struct.pack("<HH", 16383, 16383)
+    elif kind == "lossless":
+        data[21:25] = struct.pack("<I", 16383 | 16383 << 14)
+    else:
+        data[24:30] = struct.pack("<I", 16383)[:3] * 2
+    tracemalloc.start()
+    for read in (image_header, decode_image):
+        with pytest.raises(InputError, match="is a WebP of more than"):
+            read(bytes(data), "a.webp")
+    assert tracemalloc.get_traced_memory()[1] < 10_000_000
+    tracemalloc.stop()
 
 
 def test_other_codecs_inside_are_refused() -> None:

@@ -204,11 +204,14 @@ def test_hostile_photos(tmp_path: Path) -> None:
         assert reason in refusal(path), name
 
 
-def test_a_full_scene_holds_no_webp(tmp_path: Path) -> None:
-    data = encode_webp(np.zeros((14, 10, 3), dtype=np.uint8), 50)
-    first, _, third = small_scene().encoded_images
-    path = saved(tmp_path / "s.h5", small_scene(encoded_images=(first, data, third)))
-    assert "neither a JPEG nor a PNG" in refusal(path)
+def test_a_full_scene_holds_photos_as_recorded_of_whatever_kind(tmp_path: Path) -> None:
+    first, second, third = small_scene().encoded_images
+    lossless = io.BytesIO()
+    picture = decode_image(second, "photo")
+    Image.fromarray(picture).save(lossless, "WEBP", lossless=True)
+    scene = small_scene(encoded_images=(first, lossless.getvalue(), third))
+    path = saved(tmp_path / "s.h5", scene)
+    np.testing.assert_array_equal(load_scene(path).image(1), picture)
 
 
 def test_hostile_depth(tmp_path: Path) -> None:

@@ -11,6 +11,9 @@ from pipelines.artifacts.errors import StageError
 from pipelines.geometry.pose import pose_from_rotation
 from pipelines.reconstruct.alignment import Similarity, align_by_convention, align_to_odometry
 
+# Up in the image of a camera that is held upright.
+UPRIGHT = np.array([[0.0, -1.0]])
+
 
 def world_cameras(positions: FloatArray, seed: int = 0) -> FloatArray:
     """Upright cameras at ``positions`` that look about, ``(N, 4, 4)``."""
@@ -110,7 +113,7 @@ def test_the_convention_without_odometry() -> None:
     world = world_cameras(np.random.default_rng(7).normal(size=(200, 3)))
     hidden = Similarity(1.0, Rotation.from_rotvec([1.0, 2.0, 0.3]).as_matrix(), np.full(3, 4.0))
     model = seen_from(hidden, world)
-    found = align_by_convention(model, 3.0)
+    found = align_by_convention(model, 3.0, UPRIGHT.repeat(len(model), axis=0))
     placed = found.transform_poses(model)
     np.testing.assert_allclose(placed[0, :3, 3], 0.0, atol=1e-12)
     assert abs(placed[0, 1, 2]) < 1e-12  # the first camera looks along x,
@@ -126,4 +129,18 @@ def test_no_common_up_direction_is_an_error() -> None:
     poses = np.tile(np.eye(4), (2, 1, 1))
     poses[1, :3, :3] = np.diag([-1.0, -1.0, 1.0])
     with pytest.raises(StageError, match="no common up"):
-        align_by_convention(poses, 1.0)
+        align_by_convention(poses, 1.0, UPRIGHT.repeat(2, axis=0))
+
+
+def test_what_is_up_in_each_image_is_up() -> None:
+    world = world_cameras(np.random.default_rng(7).normal(size=(40, 3)))
+    ups = UPRIGHT.repeat(40, axis=0)
+    expected = align_by_convention(world, 1.0, ups)
+    # The same cameras with every other one turned by a quarter about its axis, this way or that.
+    turned = world.copy()
+    for row, quarter in ((slice(0, None, 4), 1), (slice(1, None, 4), -1)):
+        turn = Rotation.from_euler("z", 90 * quarter, degrees=True).as_matrix()
+        turned[row, :3, :3] = world[row, :3, :3] @ turn
+        ups[row] = UPRIGHT[0] @ turn[:2, :2]
+    found = align_by_convention(turned, 1.0, ups)
+    np.testing.assert_allclose(found.rotation, expected.rotation, atol=1e-12)

@@ -161,6 +161,7 @@ def test_intrinsics_of_a_frame_override_and_an_angle_is_a_focal_length(tmp_path:
         ({"k3": 0.3}, "FULL_OPENCV", (0.0, 0.0, 0.0, 0.0, 0.3, 0.0, 0.0, 0.0)),
         ({"camera_model": "OPENCV_FISHEYE", "k4": 0.4}, "OPENCV_FISHEYE", (0.0, 0.0, 0.0, 0.4)),
         ({"is_fisheye": True, "k1": 0.1}, "OPENCV_FISHEYE", (0.1, 0.0, 0.0, 0.0)),
+        ({"camera_model": "RADIAL_FISHEYE", "k2": 0.2}, "OPENCV_FISHEYE", (0.0, 0.2, 0.0, 0.0)),
     ],
 )
 def test_distortion(
@@ -251,6 +252,96 @@ def test_what_is_no_json_object(tmp_path: Path, text: str) -> None:
     (tmp_path / "transforms.json").write_text(text)
     with pytest.raises(InputError, match="JSON"):
         read_nerfstudio(tmp_path)
+
+
+def frames_of(folder: Path, count: int, root: str) -> dict[str, Any]:
+    """So many frames whose names begin with ``root``; the photos lie in ``images/``."""
+    content = sample(folder, frames=[])
+    for number in range(count):
+        write_picture(folder / "images" / f"{number:04d}.png", number)
+        matrix = [list(row) for row in LOOKS_ALONG_X]
+        matrix[1][3] = float(number)
+        separator = "\\" if "\\" in root else "/"
+        name = f"{root}{separator}{number:04d}.png"
+        content["frames"].append({"file_path": name, "transform_matrix": matrix})
+    return content
+
+
+@pytest.mark.parametrize(
+    "root",
+    [
+        "images",
+        ".\\images",
+        "C:\\Users\\me\\capture\\images",
+        "D:/capture/images",
+        "/home/somebody/capture/images",
+        "{here}/images",
+        "../source/images",
+    ],
+)
+def test_names_of_another_machine_are_found_and_the_gone_are_counted(
+    tmp_path: Path, root: str
+) -> None:
+    source = tmp_path / "source"
+    write(source, frames_of(source, 11, root.replace("{here}", str(source))))
+    assert len(read_nerfstudio(source).frames) == 11
+    (source / "images" / "0007.png").unlink()
+    recording = read_nerfstudio(source)
+    assert [frame.file.name for frame in recording.frames] == [
+        f"{number:04d}.png" for number in range(11) if number != 7
+    ]
+    assert recording.world_from_camera is not None
+    np.testing.assert_allclose(
+        recording.world_from_camera[:, 1, 3], [n for n in range(11) if n != 7]
+    )
+    (note,) = (note for note in recording.notes if "left out" in note)
+    assert note.startswith("1 of 11 photos are not there")
+    assert "0007.png" in note
+    (source / "images" / "0008.png").unlink()
+    with pytest.raises(InputError, match=r"2 of 11 photos are missing.*--allow-missing"):
+        read_nerfstudio(source)
+    assert len(read_nerfstudio(source, 0.5).frames) == 9
+
+
+def test_times_are_taken_over_and_order_the_images(tmp_path: Path) -> None:
+    content = frames_of(tmp_path, 4, "images")
+    for frame, time in zip(content["frames"], (101.5, 100.0, 100.5, 101.0), strict=True):
+        frame["timestamp"] = time
+    settings = ImportSettings(scale=1.0)
+    import_source(
+        write(tmp_path, content),
+        tmp_path / "out",
+        settings,
+        overwrite=False,
+        progress=no_progress,
+    )
+    data = load_dataset(tmp_path / "out")
+    assert data.timestamps.tolist() == [100.0, 100.5, 101.0, 101.5]
+    assert [Path(name).stem for name in data.image_names] == ["0001", "0002", "0003", "0000"]
+    assert data.groundtruth is not None
+    assert data.groundtruth.poses[:, 1, 3].tolist() == [1.0, 2.0, 3.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("times", "note"),
+    [
+        ([1.0, None, 2.0], "timestamp: only 2 of 3 frames have one"),
+        ([1.0, 1.0, 2.0], "timestamp: several frames have the same"),
+        ([1.4e18, 1.5e18, 1.6e18], "timestamp: they are no seconds"),
+        ([None, None, None], None),
+    ],
+)
+def test_times_that_cannot_be_taken_over_are_said(
+    tmp_path: Path, times: list[float | None], note: str | None
+) -> None:
+    content = frames_of(tmp_path, 3, "images")
+    for frame, time in zip(content["frames"], times, strict=True):
+        frame["timestamp"] = time
+    recording = read_nerfstudio(write(tmp_path, content))
+    assert [frame.timestamp for frame in recording.frames] == [0.0, 1.0, 2.0]
+    assert [n for n in recording.notes if n.startswith("timestamp")] == (
+        [] if note is None else [f"{note}, so times are 0, 1, 2, …"]
+    )
 
 
 def test_no_focal_length_is_no_camera(tmp_path: Path) -> None:

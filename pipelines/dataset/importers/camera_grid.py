@@ -140,7 +140,7 @@ def _matches(folder: Path, expression: re.Pattern[str]) -> dict[Cell, Path]:
 
 
 def _check_complete(
-    source: Path, files: Mapping[Cell, Path], allow_missing: bool
+    source: Path, files: Mapping[Cell, Path], allow_missing: float | None
 ) -> tuple[str, ...]:
     """Notes about empty places of the grid that the indices span."""
     rows, columns = (_span([cell[axis] for cell in files]) for axis in (0, 1))
@@ -149,7 +149,7 @@ def _check_complete(
     if missing == 0:
         return ()
     text = f"{missing} of {expected} places of the grid ({len(rows)} rows, {len(columns)} columns)"
-    if not allow_missing:
+    if missing > (allow_missing or 0.0) * expected:
         # A lazy search: names from a stranger may span a trillion places.
         row, column = next(cell for cell in itertools.product(rows, columns) if cell not in files)
         raise InputError(

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from pipelines.artifacts.errors import InputError, OptionError, quoted
-from pipelines.artifacts.file_content import is_file
 from pipelines.artifacts.json_fields import JsonFields, read_json_object
 from pipelines.dataset.dataset import natural_key
 from pipelines.dataset.images import IMAGE_SUFFIXES, read_image_header
@@ -24,6 +23,7 @@ from pipelines.dataset.importers.recording import (
     first_duplicate,
     name_below,
 )
+from pipelines.dataset.importers.source_files import all_inside, check_missing, files_below
 from pipelines.geometry.camera import Camera
 from pipelines.geometry.time_units import UNIT_NAMES, in_seconds, unit_of_times
 
@@ -45,6 +45,14 @@ PERSPECTIVE_MODELS = (
 # Names of a frame's time.
 TIME_KEYS = ("timestamp", "time", "timestamps")
 FISHEYE_MODEL = "OPENCV_FISHEYE"
+# Which have fewer coefficients.
+FISHEYE_MODELS = (
+    FISHEYE_MODEL,
+    "SIMPLE_FISHEYE",
+    "FISHEYE",
+    "SIMPLE_RADIAL_FISHEYE",
+    "RADIAL_FISHEYE",
+)
 
 
 def find_transforms(source: Path) -> Path | None:
@@ -54,17 +62,18 @@ def find_transforms(source: Path) -> Path | None:
     return next((source / name for name in FILE_NAMES if (source / name).is_file()), None)
 
 
-def read_nerfstudio(source: Path) -> Recording:
+def read_nerfstudio(source: Path, allow_missing: float | None = None) -> Recording:
     """Reads the images that a ``transforms.json`` names.
 
     They are in the order of their times where all have one, else in natural order of their names.
 
     Args:
         source: the file, or the folder that holds it.
+        allow_missing: share of the images that may be gone; None: ``MISSING_SHARE``.
 
     Raises:
-        InputError: the file is malformed, names an image that is not there or lies outside its
-            folder, or has a matrix that is no pose or a camera that lfnav does not know.
+        InputError: the file is malformed, names images that are gone or lie outside its folder, or
+            has a matrix that is no pose or a camera that lfnav does not know.
     """
     path = find_transforms(source)
     if path is None:
@@ -74,16 +83,22 @@ def read_nerfstudio(source: Path) -> Recording:
     if not rows:
         raise InputError(path, "names no frames")
     entries = [JsonFields(path, row, f"frames[{index}].") for index, row in enumerate(rows)]
-    relative = [_image_of(path, entry) for entry in entries]
-    times, notes = _times(entries)
+    texts = [entry.get("file_path", str) for entry in entries]
+    found = files_below(path.parent, texts, ("", *IMAGE_SUFFIXES))
+    files = all_inside(texts, found, path)
+    notes = list(check_missing(path.parent, files, allow_missing))
+    there = [index for index, file in enumerate(files) if file.is_there]
+    relative = {index: files[index].name for index in there}
+    times, time_notes = _times([entries[index] for index in there])
+    time_of = None if times is None else dict(zip(there, times, strict=True))
     order = sorted(
-        range(len(entries)),
-        key=lambda index: natural_key(relative[index]) if times is None else times[index],
+        there,
+        key=lambda index: natural_key(relative[index]) if time_of is None else time_of[index],
     )
-    double = first_duplicate(relative)
+    double = first_duplicate(list(relative.values()))
     if double is not None:
         raise InputError(path, f"names {double} twice")
-    stripped = _common_folder(relative)
+    stripped = _common_folder(list(relative.values()))
     cameras: dict[Camera, int] = {}
     frames, poses = [], []
     for number, index in enumerate(order):
@@ -93,13 +108,14 @@ def read_nerfstudio(source: Path) -> Recording:
             SourceFrame(
                 file,
                 name_below(IMAGE_FOLDER, relative[index][stripped:], path),
-                float(number) if times is None else times[index],
+                float(number) if time_of is None else time_of[index],
                 camera=cameras.setdefault(camera, len(cameras)),
             )
         )
         matrix = entry.get("transform_matrix", list)
         pose = rigid_pose(path, matrix, f"frames[{index}].transform_matrix")
         poses.append(pose @ OPENGL_FROM_OPENCV)
+    notes += time_notes
     if any("depth_file_path" in entry.values for entry in entries):
         notes.append("depth_file_path: depth of this source is not imported")
     return Recording(tuple(frames), tuple(cameras), np.stack(poses), notes=tuple(notes))
@@ -121,20 +137,6 @@ def _times(entries: list[JsonFields]) -> tuple[list[float] | None, list[str]]:
         said = "" if unit == 1.0 else f", which are {UNIT_NAMES[unit]}"
         return in_seconds(recorded, unit).tolist(), [f"times from {key}{said}"]
     return None, []
-
-
-def _image_of(path: Path, entry: JsonFields) -> str:
-    """The existing image of a frame, relative to the JSON file's folder."""
-    text = entry.get("file_path", str)
-    if "\0" in text or PurePosixPath(text).is_absolute():
-        raise InputError(path, f"{entry.prefix}file_path {quoted(text)} leads out of the folder")
-    relative = os.path.normpath(text)
-    if ".." in PurePosixPath(relative).parts or relative == ".":
-        raise InputError(path, f"{entry.prefix}file_path {quoted(text)} leads out of the folder")
-    for suffix in ("", *IMAGE_SUFFIXES):
-        if is_file(path.parent / (relative + suffix)):
-            return relative + suffix
-    raise InputError(path.parent / relative, f"is not there, though {path.name} names it")
 
 
 def _common_folder(names: list[str]) -> int:
@@ -212,10 +214,10 @@ def _distortion(path: Path, numbers: _Numbers) -> tuple[str, tuple[float, ...]]:
     """COLMAP's name of the camera model, and what its parameters have after fx fy cx cy."""
     model = numbers.text("camera_model") or "OPENCV"
     k1, k2, k3, k4, p1, p2 = (numbers.get(key, 0.0) for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
-    if model == FISHEYE_MODEL or numbers.flag("is_fisheye"):
+    if model in FISHEYE_MODELS or numbers.flag("is_fisheye"):
         return FISHEYE_MODEL, (k1, k2, k3, k4)
     if model not in PERSPECTIVE_MODELS:
-        known = ", ".join((*PERSPECTIVE_MODELS, FISHEYE_MODEL))
+        known = ", ".join((*PERSPECTIVE_MODELS, *FISHEYE_MODELS))
         raise InputError(path, f"camera_model {quoted(model)} is not supported", f"known: {known}")
     if k4 != 0.0:
         raise InputError(path, f"k4 = {k4:g} of a camera that is no fisheye is not supported")

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipelines.artifacts.errors import InputError
-from pipelines.dataset.dataset import IMAGE_LIST, VIDEO_SUFFIXES, images_in
+from pipelines.dataset.dataset import IMAGE_LIST, images_in, natural_key
 from pipelines.dataset.importers.camera_grid import grid_files
 from pipelines.dataset.importers.euroc import CAMERA, find_recording
 from pipelines.dataset.importers.llff import POSES
@@ -15,9 +15,10 @@ from pipelines.dataset.importers.polycam import find_keyframes
 from pipelines.dataset.importers.record3d import METADATA, is_record3d
 from pipelines.dataset.importers.settings import KINDS
 from pipelines.dataset.importers.seven_scenes import FRAME_NAME
+from pipelines.dataset.left_out import VIDEO_SUFFIXES
 
-# Where a COLMAP model may lie in a project; "" is the project's folder itself.
-MODEL_FOLDERS = ("", "sparse", "sparse/0", "0")
+# Where COLMAP's models lie in a project, one or several numbered ones.
+MODEL_FOLDER = "sparse"
 MODEL_FILES = ("cameras.bin", "cameras.txt")
 
 
@@ -53,12 +54,21 @@ def recognise(source: Path) -> Recognition:
     )
 
 
-def find_colmap_model(source: Path) -> Path | None:
-    """The folder of the COLMAP model in a project; None where there is none."""
-    for name in MODEL_FOLDERS:
-        if any((source / name / file).is_file() for file in MODEL_FILES):
-            return source / name
-    return None
+def find_colmap_models(source: Path) -> tuple[Path, ...]:
+    """The folders of the COLMAP models in a project, several where they lie beside each other."""
+    for folder in (source, source / MODEL_FOLDER):
+        if _has_model(folder):
+            return (folder,)
+    for parent, is_model in ((source / MODEL_FOLDER, bool), (source, str.isdecimal)):
+        if parent.is_dir():
+            names = [p.name for p in parent.iterdir() if is_model(p.name) and _has_model(p)]
+            if names:
+                return tuple(parent / name for name in sorted(names, key=natural_key))
+    return ()
+
+
+def _has_model(folder: Path) -> bool:
+    return any((folder / file).is_file() for file in MODEL_FILES)
 
 
 def _nerfstudio_sign(source: Path) -> str | None:
@@ -67,9 +77,10 @@ def _nerfstudio_sign(source: Path) -> str | None:
 
 
 def _colmap_sign(source: Path) -> str | None:
-    model = find_colmap_model(source) if source.is_dir() else None
-    if model is None:
+    models = find_colmap_models(source) if source.is_dir() else ()
+    if not models:
         return None
+    model = models[0]
     name = next(name for name in MODEL_FILES if (model / name).is_file())
     return str((model / name).relative_to(source))
 

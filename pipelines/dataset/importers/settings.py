@@ -36,7 +36,7 @@ _MEANT_FOR: dict[str, tuple[str, ...]] = {
     "pattern": ("grid",),
     "spacing": ("grid",),
     "focus": ("grid",),
-    "allow_missing": ("grid",),
+    "allow_missing": ("grid", "colmap", "nerfstudio"),
     "focal": ("grid", "7scenes", "video", "bag"),
     "fov": ("grid", "video", "bag"),
     "images": ("colmap",),
@@ -81,7 +81,8 @@ class ImportSettings:
         focus: grid: distance (metres) of the plane that lies still in all images.
         focal: focal length in pixels.
         fov: horizontal field of view in degrees.
-        allow_missing: grid: cells without an image are left out.
+        allow_missing: grid, colmap, nerfstudio: share of the images that may be gone; None: of a
+            grid none, of others ``MISSING_SHARE``.
         images: colmap: folder of the photos.
         scale: metres for one unit of the source.
         upright: turn the world so that the cameras stand upright in it.
@@ -114,7 +115,7 @@ class ImportSettings:
     focus: float | None = None
     focal: float | None = None
     fov: float | None = None
-    allow_missing: bool = False
+    allow_missing: float | None = None
     images: Path | None = None
     scale: float | None = None
     upright: bool = False
@@ -143,6 +144,8 @@ class ImportSettings:
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value > 0.0):
                 raise OptionError(f"{option_name(name)} {value:g} is not positive")
+        if self.allow_missing is not None and not 0.0 <= self.allow_missing <= 1.0:
+            raise OptionError(f"--allow-missing {self.allow_missing:g} is no share from 0 to 1")
         if self.fov is not None and not 0.0 < self.fov < 180.0:
             raise OptionError(f"--fov {self.fov:g} is not between 0 and 180 degrees")
         if self.spacing is not None and not all(
