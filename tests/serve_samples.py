@@ -14,7 +14,7 @@ from typing import Any
 
 # Starts the command line as its console script does.
 LFNAV = (sys.executable, "-c", "from lfnav_cli.main import run; run()")
-# The same with limits that the command line has no options for.
+# The same with limits that the command line has no options for: SCENE TOKENS IDLE_SECONDS.
 STRICT = (
     sys.executable,
     "-c",
@@ -23,8 +23,8 @@ STRICT = (
     "from pipelines.serve.limits import Limits\n"
     "from pipelines.serve.stage import ServeRequest, serve\n"
     "from pipelines.serve.tokens import read_token_file\n"
-    "limits = Limits(megabytes=0.25, megapixels=0.5, rate=4.0, sessions=2, idle_seconds=2.0,\n"
-    "                header_seconds=1.0, content_seconds=1.0)\n"
+    "limits = Limits(megabytes=0.25, megapixels=0.5, rate=0.2, sessions=2,\n"
+    "                idle_seconds=float(sys.argv[3]), header_seconds=3.0, content_seconds=3.0)\n"
     "tokens = read_token_file(Path(sys.argv[2]))\n"
     "request = ServeRequest(Path(sys.argv[1]), port=0, tokens=tokens, limits=limits)\n"
     "serve(request, lambda url: print(url, flush=True))\n",
