@@ -1,10 +1,10 @@
 """What a request has to pass before anything looks at what it wants, and its line in the log.
 
-A browser sends requests to this machine on behalf of any page that is open in it. Two checks keep
+A browser sends requests to this machine on behalf of any page that is open in it. Three checks keep
 such pages out where no token does: the name by which the server was called has to be one of this
-machine (else an attacker's name may have been pointed here: DNS rebinding), and a request that says
-which page it comes from has to come from the server's own. Content types that need no permission
-beforehand are refused where contents are taken (``app``).
+machine (else an attacker's name may have been pointed here: DNS rebinding); a request that says
+which page it comes from has to come from the server's own; and contents have to be of a type for
+which a browser asks permission beforehand, which is never given.
 """
 
 import asyncio
@@ -31,6 +31,8 @@ App = Callable[[MutableMapping[str, Any], Receive, Send], Awaitable[None]]
 # What everybody may see: descriptions of the interface, and whether the server is alive.
 OPEN_PATHS = ("/docs", "/openapi.json", "/health")
 IMAGES = "/images"
+JSON_TYPES = ("application/json",)
+IMAGE_TYPES = ("image/jpeg", "image/png", "application/octet-stream")
 # Of a content that is too long so much is still read, and for so long: a client that is sending
 # hears the answer only after that.
 READ_ON_BYTES, READ_ON_SECONDS = 64 * 1024 * 1024, 5.0
@@ -119,6 +121,10 @@ class Admission:
         if headers.get("content-encoding", "identity").lower() != "identity":
             raise HTTPException(415, "contents are taken as they are, not compressed")
         path = scope["path"]
+        known = IMAGE_TYPES if path.endswith(IMAGES) else JSON_TYPES
+        kind = headers.get("content-type", "").partition(";")[0].strip().lower()
+        if scope["method"] == "POST" and kind not in known:
+            raise HTTPException(415, f"the content's type has to be {' or '.join(known)}")
         if any(path == free or path.startswith(f"{free}/") for free in OPEN_PATHS):
             return ""
         owner = self._tokens.owner_of(headers.get("authorization", "").encode("latin-1"))

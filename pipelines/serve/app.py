@@ -26,7 +26,7 @@ from pipelines.artifacts.provenance import version_of
 from pipelines.geometry.pose import pose_from_quaternion
 from pipelines.localize.state_space import StateSpace
 from pipelines.localize.trajectory_export import STATE_NAMES
-from pipelines.serve.admission import DEFECT, refusal
+from pipelines.serve.admission import DEFECT, IMAGE_TYPES, refusal
 from pipelines.serve.robot_camera import camera_of_request
 from pipelines.serve.sessions import (
     BusyError,
@@ -38,7 +38,6 @@ from pipelines.serve.sessions import (
     Sessions,
 )
 
-IMAGE_TYPES = ("image/jpeg", "image/png", "application/octet-stream")
 # An increment beyond this, in metres or radians, is no motion between two images; a pose beyond
 # this is none on a robot's floor.
 LARGEST_INCREMENT, LARGEST_POSE = 1e3, 1e7
@@ -253,8 +252,6 @@ def _add_paths(app: FastAPI, sessions: Sessions) -> None:
         "/sessions", status_code=201, summary="Make a session", response_model=SessionAnswer
     )
     async def create(request: Request, wanted: NewSession) -> Response:
-        if content_type(request) != "application/json":
-            raise HTTPException(415, "a session is described in application/json")
         session = sessions.create(request.state.owner, _wanted(wanted, sessions.space))
         try:
             await asyncio.wrap_future(session.ready)
@@ -310,8 +307,6 @@ def _add_paths(app: FastAPI, sessions: Sessions) -> None:
         ] = None,
     ) -> Response:
         one = found(request, session)
-        if content_type(request) not in IMAGE_TYPES:
-            raise HTTPException(415, f"an image is {' or '.join(IMAGE_TYPES)}")
         _check_query(request)
         motion = _motion(odometry_increment, odometry_pose, sessions.space)
         with one.place():
@@ -321,11 +316,6 @@ def _add_paths(app: FastAPI, sessions: Sessions) -> None:
             return JSONResponse(await asyncio.wrap_future(one.locate(data, motion, stamp)))
 
     app.include_router(router)
-
-
-def content_type(request: Request) -> str:
-    """The kind of content that a request says it has; empty where it does not say."""
-    return request.headers.get("content-type", "").partition(";")[0].strip().lower()
 
 
 def _wanted(wanted: NewSession, space: StateSpace) -> SessionRequest:

@@ -55,9 +55,14 @@ class GuardedConnection(H11Protocol):
         """Answers what is no HTTP."""
         self._refuse(400, "this is not a request in HTTP, or its header is too long")
 
+    def _is_awaited(self) -> bool:
+        """Whether a header is to come, or the rest of a content that nobody reads any more."""
+        is_answered = self.conn.our_state is h11.DONE and self.conn.their_state is h11.SEND_BODY
+        return self.conn.their_state is h11.IDLE or is_answered
+
     def _watch_header(self) -> None:
         """Sets the clock while a header is awaited, and not anew by each byte of it."""
-        if self.conn.their_state is not h11.IDLE or self.transport.is_closing():
+        if not self._is_awaited() or self.transport.is_closing():
             self._unwatch_header()
         elif self._header_timer is None:
             self._header_timer = self.loop.call_later(self.header_seconds, self._header_is_late)
@@ -69,8 +74,12 @@ class GuardedConnection(H11Protocol):
 
     def _header_is_late(self) -> None:
         self._header_timer = None
-        if self.conn.their_state is h11.IDLE and not self.transport.is_closing():
+        if not self._is_awaited() or self.transport.is_closing():
+            return
+        if self.conn.their_state is h11.IDLE:
             self._refuse(408, f"the header did not come within {self.header_seconds:g} s")
+        else:
+            self.transport.close()
 
     def _refuse(self, status: int, reason: str) -> None:
         """Answers with an error, past the application, and closes the connection."""

@@ -390,8 +390,9 @@ def test_what_was_refused_leaves_no_trace(
         ("PUT", "/sessions", {}, 405),
         ("OPTIONS", "/sessions", {"Origin": "http://evil.example"}, 403),
         ("TRACE", "/sessions", {}, 405),
-        ("POST", "/sessions", {"Content-Type": "text/plain"}, 400),
-        ("POST", "/sessions", {}, 400),
+        ("POST", "/sessions", {"Content-Type": "text/plain"}, 415),
+        ("POST", "/sessions", {"Content-Type": "application/json-patch+json"}, 415),
+        ("POST", "/sessions", {}, 415),
         ("GET", "/sessions", {"Host": "evil.example"}, 421),
         ("GET", "/sessions", {"Host": "evil.example:8765"}, 421),
         ("GET", "/sessions", {"Host": "127.0.0.1.evil.example"}, 421),
@@ -541,7 +542,8 @@ def test_images_are_not_too_many_too_large_or_of_too_many_pixels(strict: Server)
     path = f"/sessions/{new_strict_session(strict)}/images"
     headers = {"Content-Type": "image/png", **bearer(TOKEN)}
     assert_refused(strict.ask("POST", path, b"x" * 300_000, headers), 413, "262144")
-    assert_refused(strict.ask("POST", "/sessions", b" " * 70_000, headers), 413, "65536")
+    of_session = {**headers, "Content-Type": "application/json"}
+    assert_refused(strict.ask("POST", "/sessions", b" " * 70_000, of_session), 413, "65536")
     chunked = {**headers, "Transfer-Encoding": "chunked"}
     chunks = b"%x\r\n%b\r\n0\r\n\r\n" % (300_000, b"x" * 300_000)
     assert_refused(strict.ask("POST", path, chunks, chunked), 413, "262144")
@@ -558,7 +560,8 @@ def test_images_are_not_too_many_too_large_or_of_too_many_pixels(strict: Server)
 def test_who_announces_too_much_is_told_before_sending(strict: Server) -> None:
     head = (
         "POST /sessions/none/images HTTP/1.1\r\nHost: localhost\r\nExpect: 100-continue\r\n"
-        f"Authorization: Bearer {TOKEN}\r\nContent-Length: 99999999999\r\n\r\n"
+        f"Authorization: Bearer {TOKEN}\r\nContent-Length: 99999999999\r\n"
+        "Content-Type: image/png\r\n\r\n"
     )
     assert b" 413 " in raw(strict, head.encode()).split(b"\r\n")[0]
 
@@ -575,16 +578,19 @@ def test_slow_clients_are_left_and_block_nobody(strict: Server) -> None:
         connection.sendall(begun.encode())
         slow.append(connection)
     assert strict.ask("GET", "/health").status == 200
-    dripping = slow[1]
-    with pytest.raises(OSError):  # noqa: PT011
-        for _ in range(200):
-            # A byte now and then changes nothing.
-            dripping.sendall(b"x")
-            time.sleep(0.1)
+    refused = socket.create_connection((strict.host, strict.port), timeout=30)
+    refused.sendall(head.replace(TOKEN, "wrong").encode() + b"\r\nabc")
+    assert b" 401 " in refused.recv(65536).split(b"\r\n")[0]
+    for dripping in (slow[1], refused):
+        # A byte now and then changes nothing.
+        with pytest.raises(OSError):  # noqa: PT011
+            for _ in range(400):
+                dripping.sendall(b"x")
+                time.sleep(0.05)
+        dripping.close()
     for connection in [*slow[:1], *slow[2:]]:
         assert b" 408 " in connection.recv(65536).split(b"\r\n")[0]
         connection.close()
-    dripping.close()
     assert strict.ask("GET", "/health").status == 200
 
 
