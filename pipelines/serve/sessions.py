@@ -112,7 +112,7 @@ class Session:
 
     Attributes:
         identifier: a name that nobody guesses.
-        ready: done when the localizer is made, or says why it was not.
+        ready: the localizer, when it is made; or why it was not.
     """
 
     def __init__(
@@ -134,9 +134,8 @@ class Session:
         self._images, self._status = 0, ""
         self._stamp: float | None = None
         self._pose: FloatArray | None = None
-        self._localizer: Localizer | None = None
         self._thread = ThreadPoolExecutor(1, "session")
-        self.ready: Future[None] = self._thread.submit(self._make, make)
+        self.ready: Future[Localizer] = self._thread.submit(self._make, make)
 
     @property
     def idle_seconds(self) -> float:
@@ -206,16 +205,16 @@ class Session:
         self._closed = True
         self._thread.shutdown(wait=False)
 
-    def _make(self, make: Callable[[], Localizer]) -> None:
+    def _make(self, make: Callable[[], Localizer]) -> Localizer:
         try:
-            self._localizer = make()
+            return make()
         except InputError as error:
             raise _unreadable(error) from error
 
     def _locate(self, data: bytes, motion: Motion, stamp: float | None) -> dict[str, Any]:
-        localizer = self._localizer
-        if self._closed or localizer is None:
+        if self._closed:
             raise _closed()
+        localizer = self.ready.result()
         if stamp is not None and self._stamp is not None and stamp < self._stamp:
             raise ConflictError(f"stamp {stamp!r} is before the last image's, {self._stamp!r}")
         image = self._decoded(data)

@@ -61,10 +61,8 @@ def test_images_of_a_session_are_taken_in_order_and_those_of_others_beside(
     sessions: Sessions,
 ) -> None:
     one, other = (sessions.create("", SessionRequest(seed=seed)) for seed in (0, 1))
-    one.ready.result()
     gate, stamps = threading.Event(), []
-    own = one._localizer
-    assert own is not None
+    own = one.ready.result()
 
     def step(image: Any, increment: Any, stamp: float) -> Any:
         gate.wait(60.0)
@@ -141,7 +139,7 @@ def test_a_session_whose_localizer_cannot_be_made_names_no_file() -> None:
     with pytest.raises(StageError) as caught:
         session.ready.result()
     assert "secret" not in str(caught.value)
-    with pytest.raises(NoSuchSessionError):
+    with pytest.raises(StageError):
         session.locate(IMAGE, Motion(), None).result()
 
 
