@@ -17,6 +17,7 @@ COMMANDS = {
     "model": "A light-field scene model from a reconstruction.",
     "render": "Virtual views of a scene model.",
     "localize": "Where was the robot? A particle filter over a data set.",
+    "serve": "Where is the robot? The same over HTTP, for programs in any language.",
     "dock": "Drives a robot to a place by what its camera sees.",
     "ros": "Nodes of ROS 2: where is this robot, from its camera's topic?",
     "evaluate": "Errors of a run against ground truth.",

@@ -26,6 +26,7 @@ INPUT_IS_MISSING = {
     "model": ["missing", "-o", "output"],
     "render": ["missing", "-o", "output", "--pose", "0,0,0"],
     "localize": ["missing", "missing-data", "-o", "output"],
+    "serve": ["missing", "--port", "0"],
     "dock": ["missing", "-o", "output", "--robot", "model:missing", "--goal", "0,0,0"],
     "ros localize": ["missing"],
     "evaluate": ["missing"],

@@ -1,7 +1,10 @@
 """The Python examples in the documentation run as they stand, one after the other."""
 
 import ast
+import json
 import re
+import shutil
+import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -11,7 +14,8 @@ import numpy as np
 import pytest
 
 import lfnav
-from tests.chain_samples import ELEVATORS
+from tests.chain_samples import ELEVATORS, map_elevators
+from tests.serve_samples import running_server
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = sorted(
@@ -99,6 +103,39 @@ def test_the_library(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert names["evaluation"].success
     assert names["rendering"].coverage > 0.5
     assert {path.name for path in folder.iterdir()} >= {"recon", "scene.h5", "run.h5"}
+
+
+def test_serving(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("fastapi", reason="no fastapi: pip install 'lfnav[serve]'")
+    document = ROOT / "docs" / "serve.md"
+    scene = map_elevators(folder, "--plane", "0,1,0,0")
+    with running_server("serve", scene, "--port", "0") as server:
+
+        def here(text: str) -> str:
+            return text.replace("8765", str(server.port))
+
+        names = run(document, [here(block) for block in examples(document)], {})
+        lines = capsys.readouterr().out.splitlines()
+        assert len(lines) == 3
+        truth = lfnav.load_dataset(ELEVATORS / "test").groundtruth
+        assert truth is not None
+        found = [float(number) for number in lines[-1].split()]
+        assert np.allclose(found, lfnav.PLANAR.states(truth.poses[2]), atol=0.05)
+        assert names["answer"]["image"] == 2
+        shell = re.findall(r"^```sh\n(.*?)^```", document.read_text(), re.M | re.S)
+        made = json.loads(curl(here(shell[0])))
+        commands = here(shell[1]).replace("SESSION", made["session"])
+        assert json.loads(curl(commands))["status"] == "tracking"
+        assert server.ask("GET", "/sessions").content == []
+
+
+def curl(commands: str) -> str:
+    """What a shell's commands print."""
+    if shutil.which("curl") is None:
+        pytest.skip("no curl: apt-get install curl")
+    done = subprocess.run(["bash", "-ec", commands], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 @pytest.fixture

@@ -21,6 +21,7 @@ FLOORS = {
     "render": 5,
     "localize": 6,
     "dock": 8,
+    "serve": 7,
     "report": 7,
     "experiments": 7,
     "ros": 7,

@@ -39,7 +39,20 @@ def read_camera_file(path: Path) -> CameraFile:
         InputError: unreadable, not TOML, a key missing, unknown or of the wrong type, an unknown
             model, or numbers that no camera has.
     """
-    table = read_toml(path)
+    return camera_file_of(read_toml(path), path)
+
+
+def camera_file_of(table: Mapping[str, Any], path: Path) -> CameraFile:
+    """The content of a ``camera.toml`` from its keys and values, wherever they were read.
+
+    Args:
+        table: keys and values as TOML or JSON has them.
+        path: what an error names.
+
+    Raises:
+        InputError: a key missing, unknown or of the wrong type, an unknown model, or numbers that
+            no camera has.
+    """
     _check_keys(path, table, _REQUIRED_KEYS, _OPTIONAL_KEYS, "")
     depth_scale = _number(path, table, "depth_scale") if "depth_scale" in table else None
     if depth_scale is not None and depth_scale <= 0.0:

@@ -6,6 +6,7 @@ it speaks against it (``render.pixel_evidence``). It is what says whether the im
 map at all, whichever likelihood weighs the particles.
 """
 
+import copy
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 
@@ -119,6 +120,19 @@ class MeasurementModel:
             for channels in channels_of(likelihood)
         }
         return cls(colours, renderers, settings.state_space, body_from_camera, likelihood)
+
+    def mounted(self, body_from_camera: FloatArray) -> "MeasurementModel":
+        """The same photos, and what is learnt of them, for a camera that sits elsewhere.
+
+        Args:
+            body_from_camera: ``(4, 4)`` the camera's mount on the robot, metres.
+
+        Raises:
+            OptionError: a mount that is no rigid transform.
+        """
+        other = copy.copy(self)
+        other.body_from_camera = checked_poses(body_from_camera, "body_from_camera")
+        return other
 
     def show(self, colours: Views, renderers: dict[Channels, Renderer]) -> None:
         """Goes on with another light field; what was learnt of pixels is kept.

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from pipelines.artifacts.arrays import Float32Array, FloatArray
-from pipelines.geometry.pose import world_from_base_planar
+from pipelines.artifacts.errors import OptionError
+from pipelines.geometry.pose import base_from_camera_mount, world_from_base_planar
 from pipelines.localize.belief import Belief, normalise_log_weights
 from pipelines.localize.likelihood import LIKELIHOODS, likelihood_named
 from pipelines.localize.measurement_model import MeasurementModel
@@ -252,3 +253,19 @@ def test_less_is_explained_of_other_contents_and_from_elsewhere_and_never_nothin
 
 def test_one_of_the_maps_own_photos_is_explained(model: MeasurementModel) -> None:
     assert model.explained(facing_wall(0.0, 2.0), observation_at(facing_wall(0.0, 2.0))) > 0.9
+
+
+def test_a_camera_that_sits_elsewhere_shares_the_photos(model: MeasurementModel) -> None:
+    raised = base_from_camera_mount((0.1, -0.05, 1.2), (0.0, 3.0, 10.0))
+    other = model.mounted(raised)
+    observation = observation_at(TRUTH)
+    own = MeasurementModel.of_scene(wall_scene(painted), raised, mixture_settings())
+    expected = own.evidence(STATES, observation)
+    np.testing.assert_array_equal(other.evidence(STATES, observation), expected)
+    assert other.renderer is model.renderer
+    assert other.pixels(24) is model.pixels(24)
+    # The one that it was made of is as it was.
+    assert np.array_equal(model.body_from_camera, MOUNT)
+    assert not np.array_equal(model.evidence(STATES, observation), expected)
+    with pytest.raises(OptionError, match="body_from_camera"):
+        model.mounted(np.zeros((4, 4)))
