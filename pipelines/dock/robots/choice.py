@@ -24,7 +24,7 @@ from pipelines.dock.robots.world_model import WorldModelRobot
 from pipelines.geometry.camera import Camera, Undistorter
 from pipelines.lightfield.open_world import OpenWorld
 from pipelines.lightfield.scene import Scene
-from pipelines.lightfield.scene_file import load_scene
+from pipelines.lightfield.scene_file import load_part, load_scene
 from pipelines.lightfield.world_file import area_path, load_world
 
 SIMULATED = ("model", "replay", "sim")
@@ -108,7 +108,7 @@ def _simulated(
         return ReplayRobot(load_dataset(path), motion)
     if kind == "model" and path.is_dir():
         index = load_world(path)
-        first = load_scene(area_path(path, index.areas[0].name))
+        first = load_part(area_path(path, index.areas[0].name), [0])
         return WorldModelRobot(
             path, index, *_camera(first, options), motion, options.sensor, seeing
         )
