@@ -19,8 +19,7 @@ from pipelines.render.renderer import Renderer
 
 # Areas farther away than this are not looked into, metres; nor are more than so many.
 NEAR, MOST_AREAS = 2.0, 4
-# As many areas are held as take no more than this, megabytes; one in any case. Where a robot goes
-# from area to area, what it sees next to its own is seldom needed.
+# As many areas are held as take no more than this, megabytes, and those that one image needs.
 HELD = 300.0
 # Views that are read and decoded together.
 TOGETHER = 8
@@ -63,6 +62,7 @@ class WorldModelRobot(SimulatedRobot):
         shape = (self.camera.height, self.camera.width)
         image = np.full((*shape, 3), NOTHING, dtype=np.uint8)
         is_open = np.ones(shape, dtype=np.bool_)
+        self._held.begin_image()
         for area in self._areas_around(self._motion.state[:2]):
             view = self._held.renderer(area).render(self._world_from_camera, self._intrinsics)
             image = np.where((is_open & view.covered)[..., None], view.image, image)
@@ -84,7 +84,10 @@ class WorldModelRobot(SimulatedRobot):
 
 
 class _HeldAreas:
-    """Renderers of the areas that were used last, as many as take ``HELD`` megabytes.
+    """Renderers of the areas that were used last.
+
+    One area shows most images as a whole, and then as many are held as take ``HELD`` megabytes.
+    Where one does not, all that an image needs are held for the next, which needs them too.
 
     Args:
         path: the world's folder.
@@ -94,6 +97,13 @@ class _HeldAreas:
     def __init__(self, path: Path, side: int) -> None:
         self._path, self._side = path, side
         self._renderers: OrderedDict[str, tuple[Renderer, float]] = OrderedDict()
+        self._used: set[str] = set()
+        self._used_before: set[str] = set()
+
+    def begin_image(self) -> None:
+        """What is used from now on is used by another image."""
+        self._used_before = self._used if len(self._used) > 1 else set()
+        self._used = set()
 
     def renderer(self, area: WorldArea) -> Renderer:
         """The renderer of an area's views.
@@ -104,16 +114,23 @@ class _HeldAreas:
         if area.name not in self._renderers:
             self._renderers[area.name] = self._read(area)
         self._renderers.move_to_end(area.name)
+        self._used.add(area.name)
         return self._renderers[area.name][0]
 
+    def _make_room(self, size: float) -> None:
+        """Lets go of the areas that were not used for longest, until so many megabytes fit."""
+        kept = self._used | self._used_before
+        for name in [name for name in self._renderers if name not in kept]:
+            if size + sum(held for _, held in self._renderers.values()) > HELD:
+                del self._renderers[name]
+
     def _read(self, area: WorldArea) -> tuple[Renderer, float]:
-        """A new renderer and the megabytes that it takes; others are let go for it before."""
+        """A new renderer and the megabytes that it takes."""
         file, count = area_path(self._path, area.name), len(area.views)
         first = load_part(file, [0])
         side = min(self._side, _longest_side(first))
         size = view_bytes(first.camera_of(0), side, 1, bool(first.depth)) * count / 1e6
-        while self._renderers and size + sum(held for _, held in self._renderers.values()) > HELD:
-            self._renderers.popitem(last=False)
+        self._make_room(size)
         arena = ViewArena(count, side, 1)
         for start in range(0, count, TOGETHER):
             numbers = range(start, min(start + TOGETHER, count))
