@@ -92,7 +92,8 @@ def median_inverse_depth(views: Views) -> float:
     """Median of all known inverse depths of a light field, 1 / metres; 0 where there are none."""
     inverse_depth = views.arrays.inverse_depth
     known = inverse_depth[(inverse_depth > 0.0) & (inverse_depth < np.inf)]
-    return float(np.median(known)) if len(known) else 0.0
+    # These are copies: to copy them once more would take as much memory again.
+    return float(np.median(known, overwrite_input=True)) if len(known) else 0.0
 
 
 def _splat(

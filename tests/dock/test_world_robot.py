@@ -1,6 +1,8 @@
 """``--robot model:WORLD``: images of a robot that goes from area to area of a world."""
 
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -10,19 +12,26 @@ from pipelines.artifacts.arrays import IntArray
 from pipelines.artifacts.errors import InputError
 from pipelines.artifacts.kinds import AREA_FOLDER, WORLD_FILE
 from pipelines.artifacts.provenance import sha256_of_file
+from pipelines.dock.robot import Movement
+from pipelines.dock.robots import world_model
 from pipelines.dock.robots.choice import RobotOptions, robot_named
-from pipelines.dock.robots.noise import SensorNoise
+from pipelines.dock.robots.model import NOTHING
+from pipelines.dock.robots.noise import MotionNoise, SensorNoise
+from pipelines.geometry.camera import Undistorter
 from pipelines.geometry.pose import world_from_base_planar
 from pipelines.lightfield.area_recognition import learn_recognition
 from pipelines.lightfield.depth_storage import as_stored
 from pipelines.lightfield.recorded_paths import recorded_paths
 from pipelines.lightfield.scene import Scene
-from pipelines.lightfield.scene_file import identified, save_scene
+from pipelines.lightfield.scene_file import identified, load_part, load_scene, save_scene
 from pipelines.lightfield.world_file import World, WorldArea, area_path, save_index
+from pipelines.render.choices import Quality
+from pipelines.render.renderer import Renderer
 from tests.room_samples import HIGH, PARTITION_X, seen
 from tests.two_room_samples import MOUNT, two_rooms
 
 EXACT = RobotOptions(sensor=SensorNoise(0.0, 0.0), camera_width=96)
+FAITHFUL = MotionNoise(0.0, 0.0, 0.0)
 
 
 def part_of(scene: Scene, views: IntArray) -> Scene:
@@ -96,6 +105,56 @@ def test_through_the_door_it_sees_the_area_next_to_its_own(world: Path) -> None:
     finally:
         (world / "away.h5").rename(area_path(world, "east"))
     np.testing.assert_array_equal(robot.take_image(), before)
+
+
+def areas_read_for_every_image(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names of the areas that are read from now on, by robots that hold no more than they must."""
+    monkeypatch.setattr(world_model, "HELD", 0.0)
+    read: list[str] = []
+
+    def counted(path: Path, views: Sequence[int]) -> Scene:
+        read.append(path.stem)
+        return load_part(path, views)
+
+    monkeypatch.setattr(world_model, "load_part", counted)
+    return read
+
+
+def test_it_sees_the_same_however_few_areas_it_holds(
+    world: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read = areas_read_for_every_image(monkeypatch)
+    options = replace(EXACT, true_start=(2.0, 1.45, 0.0), motion=FAITHFUL)
+    robot = robot_named(f"model:{world}", two_rooms(), options, 0)
+    scenes = [load_scene(area_path(world, name)) for name in ("west", "east")]
+    whole = [Renderer.of_scene(scene, quality=Quality.FINE) for scene in scenes]
+    pinhole = Undistorter(robot.camera).intrinsics
+    for forward, order in ((0.0, (0, 1)), (1.2, (0, 1)), (0.8, (1, 0)), (-0.8, (0, 1))):
+        robot.move(Movement(forward=forward))
+        image = robot.take_image()
+        state = robot.true_state()
+        assert state is not None
+        expected = np.full_like(image, NOTHING)
+        for area in reversed(order):
+            view = whole[area].render(world_from_base_planar(state) @ MOUNT, pinhole)
+            expected[view.covered] = view.image[view.covered]
+        np.testing.assert_array_equal(image, expected)
+    # An area that was let go for the other is read again.
+    assert [name for name, _ in groupby(read)][:3] == ["west", "east", "west"]
+
+
+def test_areas_that_one_image_needs_are_held_for_the_next(
+    world: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Close to a wall, the photos of the robot's own area do not show all that it sees.
+    options = replace(EXACT, true_start=(2.2, 0.2, 1.5))
+    robot = robot_named(f"model:{world}", two_rooms(), options, 0)
+    read = areas_read_for_every_image(monkeypatch)
+    robot.take_image()
+    assert set(read) == {"west", "east"}
+    read.clear()
+    robot.take_image()
+    assert read == []
 
 
 def test_a_folder_that_is_no_world_is_named(tmp_path: Path) -> None:

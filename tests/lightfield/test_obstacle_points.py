@@ -7,7 +7,7 @@ import pytest
 
 from pipelines.artifacts.arrays import FloatArray
 from pipelines.geometry.plane import Plane
-from pipelines.lightfield.obstacle_points import obstacle_points
+from pipelines.lightfield.obstacle_points import distinct_rows, obstacle_points
 from pipelines.lightfield.scene import PlaneEstimate, Scene, SceneDepth
 from tests.room_samples import DOOR_HIGH, DOOR_LOW, PARTITION_X
 from tests.two_room_samples import distance_from_walls, two_rooms
@@ -74,3 +74,14 @@ def test_in_a_scene_with_a_plane_every_depth_map_counts(closed_from_afar: Scene)
 
 def test_a_scene_without_depth_maps_shows_no_obstacles() -> None:
     assert obstacle_points(replace(two_rooms(), depth=()), TOP) is None
+
+
+@pytest.mark.parametrize("count", [0, 1, 500])
+def test_distinct_rows_are_those_that_numpy_finds(count: int) -> None:
+    rows = np.random.default_rng(count).integers(-3, 4, (count, 2))
+    rows[:, 1] *= 2**40
+    distinct, owner, counts = distinct_rows(rows)
+    values, inverse, times = np.unique(rows, axis=0, return_inverse=True, return_counts=True)
+    np.testing.assert_array_equal(distinct, values)
+    np.testing.assert_array_equal(owner, inverse.reshape(-1))
+    np.testing.assert_array_equal(counts, times)

@@ -56,10 +56,14 @@ class RenderedRobot(SimulatedRobot):
         raise NotImplementedError
 
 
-def renderer_of_model(scene: Scene, camera: Camera) -> Renderer:
-    """What renders a simulated robot's images from a scene model."""
-    quality = quality_named(None, bool(scene.depth), Quality.FINE)
-    return Renderer.of_scene(scene, 4 * camera.width, quality=quality)
+def side_of_model(camera: Camera) -> int:
+    """Pixels of the longer side of a model's photos, at most, for a simulated robot's camera."""
+    return 4 * camera.width
+
+
+def quality_of_model(scene: Scene) -> Quality:
+    """How finely a simulated robot's images follow a model's depth maps."""
+    return quality_named(None, bool(scene.depth), Quality.FINE)
 
 
 class ModelRobot(RenderedRobot):
@@ -84,7 +88,9 @@ class ModelRobot(RenderedRobot):
         rng: np.random.Generator,
     ) -> None:
         super().__init__(camera, base_from_camera, motion, sensor, rng)
-        self._renderer = renderer_of_model(scene, camera)
+        self._renderer = Renderer.of_scene(
+            scene, side_of_model(camera), quality=quality_of_model(scene)
+        )
 
     def _renderers_here(self) -> Iterator[Renderer]:
         yield self._renderer
