@@ -11,7 +11,7 @@ import math
 import os
 import re
 import stat
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
@@ -28,7 +28,7 @@ from pipelines.dataset.images import (
     read_image_bytes,
     read_image_header,
 )
-from pipelines.dataset.left_out import OTHER, VIDEO_SUFFIXES, files_left_out, left_out_text
+from pipelines.dataset.left_out import BELOW, OTHER, VIDEO_SUFFIXES, files_left_out, left_out_text
 from pipelines.dataset.mask import MASK_FILE, Mask, read_mask
 from pipelines.geometry.camera import Camera
 from pipelines.geometry.trajectory import Trajectory, read_tum
@@ -313,8 +313,8 @@ def _plain_images(root: Path) -> tuple[str, ...]:
     found = {folder.name: images_in(folder) for folder in folders}
     found = {folder: images for folder, images in found.items() if images}
     if not found:
-        others = files_left_out(root, _KNOWN_FILES)
-        others = {reason: count for reason, count in others.items() if reason != OTHER}
+        others = _total(files_left_out(folder, _KNOWN_FILES) for folder in (root, *folders))
+        others = {why: count for why, count in others.items() if why not in (BELOW, OTHER)}
         raise InputError(
             root,
             f"holds no {IMAGE_LIST} and no images ({', '.join(IMAGE_SUFFIXES)})",
@@ -333,11 +333,18 @@ def _left_out(root: Path, names: tuple[str, ...]) -> dict[str, int]:
     folder = (root / names[0]).parent
     counts = files_left_out(root, {*names, *_KNOWN_FILES, folder.name})
     if folder != root:
-        for reason, count in files_left_out(folder, {Path(name).name for name in names}).items():
-            counts[reason] = counts.get(reason, 0) + count
+        counts = _total([counts, files_left_out(folder, {Path(name).name for name in names})])
     if counts.keys() - {OTHER}:
         _log.warning("%s: %d images are taken, not %s", root, len(names), left_out_text(counts))
     return counts
+
+
+def _total(counts: Iterable[Mapping[str, int]]) -> dict[str, int]:
+    total: dict[str, int] = {}
+    for count in counts:
+        for reason, number in count.items():
+            total[reason] = total.get(reason, 0) + number
+    return total
 
 
 def images_in(folder: Path) -> tuple[str, ...]:

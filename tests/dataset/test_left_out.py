@@ -99,6 +99,14 @@ def test_a_folder_of_nothing_else_names_what_is_there(tmp_path: Path) -> None:
         load_dataset(tmp_path)
 
 
+def test_a_sub_folder_of_nothing_else_is_looked_at_too(tmp_path: Path) -> None:
+    (tmp_path / "DCIM").mkdir()
+    (tmp_path / "DCIM" / "IMG_0.HEIC").write_bytes(HEIC)
+    (tmp_path / "DSC_1.NEF").write_bytes(b"data")
+    with pytest.raises(InputError, match=r"no images .*not read: 1 raw, 1 HEIC"):
+        load_dataset(tmp_path)
+
+
 def test_a_listed_heic_is_named(tmp_path: Path) -> None:
     # Whatever its suffix: phones' exports call them .JPG too.
     (tmp_path / "a.JPG").write_bytes(HEIC)
