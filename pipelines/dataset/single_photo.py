@@ -17,7 +17,13 @@ from PIL import ExifTags, Image
 from pipelines.artifacts.arrays import ImageArray
 from pipelines.artifacts.errors import InputError
 from pipelines.dataset.camera_file import read_camera_file
-from pipelines.dataset.images import DECODING_ERRORS, decode_image, encode_png, read_image_bytes
+from pipelines.dataset.images import (
+    DECODING_ERRORS,
+    decode_image,
+    encode_png,
+    image_header,
+    read_image_bytes,
+)
 from pipelines.geometry.camera import Camera
 
 # The diagonal of a frame of 35-mm film, 36 x 24 mm, by which equivalent focal lengths are stated.
@@ -62,7 +68,7 @@ def read_photo(path: Path, camera_file: Path | None, known: Sequence[Camera]) ->
     """Reads a photo and finds its camera.
 
     Args:
-        path: JPEG or PNG.
+        path: JPEG, PNG, TIFF or WebP.
         camera_file: a ``camera.toml`` of the photo the right way up; None: the camera is that of
             the photo's EXIF data, else the only one of ``known`` with images of this size.
         known: cameras that are likely, such as the map's.
@@ -74,9 +80,13 @@ def read_photo(path: Path, camera_file: Path | None, known: Sequence[Camera]) ->
     data = read_image_bytes(path)
     image = decode_image(data, path)
     exif = _exif(data)
-    turned = UPRIGHT.get(exif.get(ExifTags.Base.Orientation, 1))
+    header = image_header(data, path)
+    # A TIFF comes the right way up.
+    orientation = 1 if header.format == "TIFF" else exif.get(ExifTags.Base.Orientation, 1)
+    turned = UPRIGHT.get(orientation)
     if turned is not None:
         image = np.ascontiguousarray(turned(image))
+    if turned is not None or not header.is_plain:
         data = encode_png(image)
     height, width = image.shape[:2]
     if camera_file is not None:

@@ -8,7 +8,7 @@ from PIL import ExifTags, Image, ImageOps
 
 from pipelines.artifacts.errors import InputError
 from pipelines.dataset.camera_file import CameraFile, format_camera_file
-from pipelines.dataset.images import decode_image
+from pipelines.dataset.images import decode_image, image_header
 from pipelines.dataset.single_photo import read_photo
 from pipelines.geometry.camera import Camera
 
@@ -31,15 +31,18 @@ def written(
     return path
 
 
+@pytest.mark.parametrize("kind", ["PNG", "TIFF"])
 @pytest.mark.parametrize("orientation", range(1, 9))
-def test_it_is_turned_upright_as_pillow_does(tmp_path: Path, orientation: int) -> None:
-    path = written(tmp_path / "p.png", orientation=orientation, film_focal=28, kind="PNG")
-    found = read_photo(path, None, [])
+def test_it_is_turned_upright_as_pillow_does(tmp_path: Path, orientation: int, kind: str) -> None:
+    path = written(tmp_path / "p", orientation=orientation, film_focal=28, kind=kind)
+    portrait = Camera("SIMPLE_PINHOLE", HEIGHT, WIDTH, (50.0, 19.5, 29.5))
+    found = read_photo(path, None, [MAP_CAMERA, portrait])
     with Image.open(path) as stored:
         upright = ImageOps.exif_transpose(stored)
     np.testing.assert_array_equal(found.image, np.asarray(upright))
     assert (found.camera.width, found.camera.height) == upright.size
     np.testing.assert_array_equal(decode_image(found.encoded, "it"), found.image)
+    assert image_header(found.encoded, "it").format == "PNG"
 
 
 def test_what_is_upright_is_kept_as_stored(tmp_path: Path) -> None:

@@ -56,18 +56,27 @@ def test_between_pixels_of_a_depth_map_a_slanted_plane_is_exact() -> None:
     assert np.abs(points @ SLOPE - 2.0).max() < 2e-3
 
 
-def test_no_place_at_depth_edges_unconfident_pixels_and_outside() -> None:
+def test_no_place_at_depth_edges_unknown_pixels_and_outside() -> None:
     flat = np.full((48, 64), 0.5, dtype=np.float32)
     flat[:, 40:] = 1.0
-    confident = np.ones((48, 64), dtype=np.bool_)
-    confident[20, 10] = False
+    flat[20, 10] = 0.0
     rays = rays_through(
         np.array([20.0, 38.0, 39.4, 41.5, 44.0, 10.4, 13.0, -3.0, 0.2, 70.0]),
         np.array([10.0, 10.0, 10.0, 10.0, 10.0, 20.4, 20.0, 10.0, 10.0, 10.0]),
     )
-    found = depth_at(SceneDepth(flat, confident), PINHOLE, rays)
+    found = depth_at(SceneDepth(flat, flat > 0.0), PINHOLE, rays)
     expected = np.array([0.5, 0.5, 0.0, 1.0, 1.0, 0.0, 0.5, 0.0, 0.5, 0.0])
     np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+def test_where_confidence_is_scattered_as_in_computed_maps_no_feature_is_lost() -> None:
+    exact = slanted_depth(PINHOLE)
+    random = np.random.default_rng(0)
+    scattered = SceneDepth(exact.inverse_depth, random.uniform(size=(48, 64)) < 0.27)
+    rays = rays_through(random.uniform(3.0, 60.0, 200), random.uniform(3.0, 44.0, 200))
+    np.testing.assert_array_equal(
+        depth_at(scattered, PINHOLE, rays), depth_at(exact, PINHOLE, rays)
+    )
 
 
 def test_a_plane_is_met_where_ray_and_plane_cross() -> None:

@@ -130,7 +130,7 @@ def test_photos_of_a_phone_become_one_upright_model(tmp_path: Path) -> None:
             saved(image.transpose(Image.Transpose.ROTATE_270), photos / f"{row}.jpg", 8)
         else:
             saved(image, photos / f"{row}{'.tif' if row % 4 == 2 else '.webp'}")
-    settings = ReconstructSettings("sfm", max_features=1500, max_size=480)
+    settings = ReconstructSettings("sfm", max_features=800, max_size=320)
     reconstruct(photos, tmp_path / "r", settings)
     found = load_reconstruction(tmp_path / "r")
     assert len(found.image_names) == 8
