@@ -14,9 +14,6 @@ from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import scene_provenance
 from pipelines.localize.run import Run, load_run
 from pipelines.localize.scene_of_run import load_scene_of_run
-from pipelines.render.choices import Blending, Quality
-from pipelines.render.renderer_choice import renderers_of
-from pipelines.render.surface import quality_named
 from pipelines.report.animation import animation
 from pipelines.report.content import page_of
 from pipelines.report.docking import docking_figure
@@ -27,7 +24,7 @@ from pipelines.report.surroundings import surroundings_of
 from pipelines.report.time_plots import time_figure
 from pipelines.report.tracks import tracks_of
 from pipelines.report.verdict import Verdict
-from pipelines.report.views import MAX_PICTURE_SIDE, ViewMaker
+from pipelines.report.views import ViewMaker, renderer_at
 
 PAGE_NAME = "report.html"
 FIGURE_FOLDER = "figures"
@@ -177,9 +174,7 @@ def _content(
     progress: Progress,
 ) -> Content:
     tracks = tracks_of(run, estimate)
-    has_depth = bool(scene.depth) if isinstance(scene, Scene) else scene.has_depth
-    quality = quality_named(None, has_depth, Quality.FINE)
-    maker = ViewMaker(run, renderers_of(scene, MAX_PICTURE_SIDE, Blending.UNSTRUCTURED, quality))
+    maker = ViewMaker(run, renderer_at(scene))
     views = {}
     for index in progress(indices, "views", len(indices)):
         odometry = None if tracks.odometry_states is None else tracks.odometry_states[index]
