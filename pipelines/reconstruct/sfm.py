@@ -134,6 +134,8 @@ def structure_from_motion(
             dataset.root, f"holds {count} images; structure from motion needs {MIN_IMAGES}"
         )
     odometry = poses_from_odometry(dataset) if starts_from_odometry(dataset, settings) else None
+    # The worker runs in it, where a path from here would lead elsewhere.
+    folder = folder.absolute()
     folder.mkdir(parents=True, exist_ok=True)
     request = _prepare(dataset, settings, odometry, folder)
     own_names = {name: dataset.image_names[index_of(name)] for name in request.names}

@@ -1,5 +1,6 @@
 """Structure from motion from images to a metric reconstruction, and how it fails aloud."""
 
+import contextlib
 import dataclasses
 import json
 import subprocess
@@ -76,7 +77,9 @@ def workshop_part(tmp_path_factory: pytest.TempPathFactory) -> Path:
     part_of(
         WORKSHOP, folder / "d", range(10, 18), ["camera.toml", "odometry.txt", "groundtruth.txt"]
     )
-    run(folder / "d", folder / "r", QUICK)
+    # As people type it: paths from where they are, which is not where the worker is.
+    with contextlib.chdir(folder):
+        run(Path("d"), Path("r"), QUICK)
     return folder
 
 
