@@ -32,7 +32,7 @@ from tests.bag_samples import (
     without,
     write_bag,
 )
-from tests.chain_samples import ELEVATORS, first_frames, lfnav, map_elevators, succeed
+from tests.chain_samples import ELEVATORS, first_frames, lfnav, succeed
 
 SAMPLES = ELEVATORS.parent
 
@@ -104,8 +104,11 @@ def test_a_data_set_comes_back_from_its_bag(
 
 
 def test_localization_of_an_imported_bag_is_that_of_the_data_set(tmp_path: Path) -> None:
-    scene = map_elevators(tmp_path)
-    original = load_dataset(first_frames(SAMPLES / "elevators" / "test", tmp_path / "original", 3))
+    # A third of the map is enough: what counts is that both come out alike.
+    photos, scene = first_frames(ELEVATORS / "map", tmp_path / "photos", 10), tmp_path / "scene.h5"
+    succeed("reconstruct", photos, "-o", tmp_path / "map", "--method", "odometry")
+    succeed("model", tmp_path / "map", "-o", scene, "--plane", "0,1,0,0")
+    original = load_dataset(first_frames(SAMPLES / "elevators" / "test", tmp_path / "original", 2))
     messages = Messages(is_ros1=False)
     bag = write_bag(tmp_path / "drive.mcap", entries(drive_of(original), messages), messages)
     succeed("import", bag, "-o", tmp_path / "imported")
@@ -116,7 +119,7 @@ def test_localization_of_an_imported_bag_is_that_of_the_data_set(tmp_path: Path)
         succeed("export", run, "--format", "csv", "-o", text)
         rows = [line.split(",") for line in text.read_text().splitlines()[1:]]
         poses.append(np.array([[float(value) for value in row[3:6]] for row in rows]))
-    assert poses[0].shape == poses[1].shape == (3, 3)
+    assert poses[0].shape == poses[1].shape == (2, 3)
     # Odometry is written with nine decimals, from quaternions with 15.
     np.testing.assert_allclose(poses[0], poses[1], atol=1e-4)
 
