@@ -28,6 +28,7 @@ INPUT_IS_MISSING = {
     "localize": ["missing", "missing-data", "-o", "output"],
     "dock": ["missing", "-o", "output", "--robot", "model:missing", "--goal", "0,0,0"],
     "ros localize": ["missing"],
+    "ros dock-detector": ["missing", "--goal", "0,0,0"],
     "evaluate": ["missing"],
     "report": ["missing", "-o", "output"],
     "sweep": ["missing", "-o", "output"],
@@ -36,7 +37,7 @@ INPUT_IS_MISSING = {
 }
 
 # Groups have commands of their own.
-GROUPS = {"ros": ("localize",)}
+GROUPS = {"ros": ("localize", "dock-detector")}
 LEAVES = [name for name in COMMANDS if name not in GROUPS]
 LEAVES += [f"{group} {name}" for group, names in GROUPS.items() for name in names]
 
