@@ -1,5 +1,6 @@
 """``lfnav localize``: the particle filter over a data set."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,8 +23,25 @@ if TYPE_CHECKING:
 
 @click.command("localize", cls=SettingsCommand)
 @click.argument("scene", metavar="SCENE", required=False, type=click.Path(path_type=Path))
-@click.argument("dataset", metavar="DATASET", required=False, type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="Run file to write.")
+@click.argument("dataset", metavar="DATASET|PHOTO", required=False, type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    help="Run file to write; for a photo by itself not needed.",
+)
+@click.option(
+    "--camera",
+    metavar="FILE.toml",
+    type=click.Path(path_type=Path),
+    help="With a photo by itself: its camera. Default: that of its EXIF data, or the map's.",
+)
+@click.option(
+    "--picture",
+    metavar="FILE.png",
+    type=click.Path(path_type=Path),
+    help="With a photo by itself: draw it beside what the map shows from where it was taken.",
+)
 @config_options
 @click.option(
     "--odometry",
@@ -61,6 +79,8 @@ def command(
     scene: Path | None,
     dataset: Path | None,
     output: Path | None,
+    camera: Path | None,
+    picture: Path | None,
     config: Path | None,
     print_config: bool,
     odometry: str | None,
@@ -75,7 +95,9 @@ def command(
 ) -> None:
     """Localizes the robot of DATASET in SCENE, frame by frame, and writes a run file.
 
-    SCENE is a scene model, or the folder of a world of several.
+    SCENE is a scene model, or the folder of a world of several. With a PHOTO in the place of a data
+    set it says where that was taken, or that the map does not show it: six degrees of freedom,
+    without odometry.
 
     Every setting of a config file is an option of the same name; those not listed here are printed
     by --print-config and explained in docs/settings.md.
@@ -85,6 +107,7 @@ def command(
       lfnav localize out/elevators.h5 sample_data/elevators/test -o out/run.h5 --seed 0
       lfnav localize scene.h5 test/ -o run.h5 --start 1.0,-2.5,90
       lfnav localize scene.h5 test/ -o run.h5 --method pnp
+      lfnav localize scene.h5 PHOTO.jpg --picture beside.png
       lfnav localize --print-config --particles 500 > settings.toml
       lfnav localize scene.h5 test/ -o run.h5 --config settings.toml
     """
@@ -94,8 +117,34 @@ def command(
     if print_config:
         click.echo(settings_text(settings), nl=False)
         return
+    if scene is not None and dataset is not None and dataset.is_file():
+        unused = {"--odometry": odometry, "--mask": mask, "--reconstruction": reconstruction}
+        for option, value in unused.items():
+            if value is not None:
+                raise click.UsageError(f"{option} is of no use to a photo by itself")
+        degrees = chosen.get("degrees_of_freedom", 6)
+        if degrees != 6:
+            raise click.UsageError("a photo by itself is placed with 6 degrees of freedom")
+        from pipelines.report.single_photo import PhotoRequest, localize_photo
+
+        photo = PhotoRequest(
+            scene=scene,
+            photo=dataset,
+            settings=replace(settings, degrees_of_freedom=6),
+            camera=camera,
+            run=output,
+            picture=picture,
+            seed=seed,
+            overwrite=overwrite,
+            memory=memory,
+        )
+        print_summary(localize_photo(photo), as_json)
+        return
     if scene is None or dataset is None or output is None:
         raise missing({"scene": scene, "dataset": dataset, "output": output})
+    for option, path in {"--camera": camera, "--picture": picture}.items():
+        if path is not None:
+            raise click.UsageError(f"{option} goes with a photo by itself, not with a data set")
 
     from pipelines.localize.stage import LocalizeRequest, localize
 

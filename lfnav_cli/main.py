@@ -23,6 +23,7 @@ COMMANDS = {
     "report": "A page with figures that shows how a run went.",
     "sweep": "Many runs with other seeds and settings, one table.",
     "export": "A run as TUM, KITTI, EuRoC, CSV, JSON or a ROS bag; a scene model for COLMAP.",
+    "demo": "The whole chain on a drive that comes with lfnav.",
     "info": "What a file or folder made by lfnav, a data set or a ROS bag contains.",
 }
 
@@ -73,6 +74,7 @@ def main(context: click.Context) -> None:
 
     \b
     Example:
+      lfnav demo
       lfnav reconstruct MAP_DATASET -o map --method odometry
       lfnav model map -o scene.h5
       lfnav localize scene.h5 TEST_DATASET -o run.h5

@@ -42,6 +42,8 @@ LEAVES = [name for name in COMMANDS if name not in GROUPS]
 LEAVES += [f"{group} {name}" for group, names in GROUPS.items() for name in names]
 
 every_command = pytest.mark.parametrize("name", LEAVES)
+# The demonstration brings its own.
+every_command_with_input = pytest.mark.parametrize("name", [n for n in LEAVES if n != "demo"])
 
 
 def run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
@@ -124,7 +126,7 @@ def test_every_option_is_explained(name: str) -> None:
     assert [option.name for option in options if not option.help] == []
 
 
-@every_command
+@every_command_with_input
 def test_missing_input_is_one_line_and_leaves_nothing(
     name: str,
     tmp_path: Path,
@@ -144,14 +146,17 @@ def test_missing_input_is_one_line_and_leaves_nothing(
 def test_verbose_and_quiet_exclude_each_other(
     name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code, _, err = run([*name.split(), *INPUT_IS_MISSING[name], "--verbose", "--quiet"], capsys)
+    inputs = INPUT_IS_MISSING.get(name, [])
+    code, _, err = run([*name.split(), *inputs, "--verbose", "--quiet"], capsys)
     assert code == 2
     assert_one_line(err)
     assert "--verbose and --quiet" in err
 
 
-@every_command
-@pytest.mark.parametrize("wrong", [["--no-such-option"], []])
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [*((name, ["--no-such-option"]) for name in LEAVES), *((n, []) for n in INPUT_IS_MISSING)],
+)
 def test_wrong_usage(name: str, wrong: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     code, out, err = run([*name.split(), *wrong], capsys)
     assert code == 2

@@ -11,6 +11,7 @@ from pipelines.artifacts.arguments import PathLike, checked_number, checked_path
 from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import InputError, OptionError
 from pipelines.artifacts.kinds import is_world
+from pipelines.geometry.camera import Camera
 from pipelines.geometry.plane import Plane
 from pipelines.lightfield.area_map import AreaMap
 from pipelines.lightfield.area_recognition import AreaRecognition
@@ -95,10 +96,14 @@ class OpenWorld:
         return first
 
     @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """The cameras that took the photos, area by area."""
+        return tuple(camera for outline in self.outlines for camera in outline.cameras)
+
+    @property
     def largest_camera(self) -> tuple[int, int]:
         """Width and height of the cameras' largest photos, pixels."""
-        cameras = [camera for outline in self.outlines for camera in outline.cameras]
-        return max(c.width for c in cameras), max(c.height for c in cameras)
+        return max(c.width for c in self.cameras), max(c.height for c in self.cameras)
 
     def scenes(self, area: int, photos: Sequence[int]) -> Iterator[tuple[tuple[int, ...], Scene]]:
         """Reads photos from an area's file, a few at a time.

@@ -59,12 +59,15 @@ class FoundPose:
         camera_from_world: ``(3, 4)``; None: no pose.
         covariance: ``(6, 6)`` of the error of the camera's position (metres) and rotation
             (radians), in world axes; None where there is no pose.
+        focal_length: of the camera, pixels, mean of both axes: known or found; None where there is
+            no pose.
     """
 
     matches: int
     inliers: int = 0
     camera_from_world: FloatArray | None = None
     covariance: FloatArray | None = None
+    focal_length: float | None = None
 
 
 @dataclass(frozen=True)
@@ -139,8 +142,13 @@ class PoseFinder:
         """Sets the mask ``(height, width)`` of camera images: features where it is not 0."""
         self._used = used
 
-    def locate(self, grey: ImageArray) -> FoundPose:
-        """The camera's pose when it took an image ``(height, width)``."""
+    def locate(self, grey: ImageArray, *, find_focal_length: bool = False) -> FoundPose:
+        """The camera's pose when it took an image ``(height, width)``.
+
+        Args:
+            grey: the image, as recorded.
+            find_focal_length: whether the camera's is only about right, and found with the pose.
+        """
         import pycolmap
 
         settings, own = self._settings, self._camera
@@ -160,7 +168,11 @@ class PoseFinder:
         # Several threads would draw the random numbers in any order.
         options.ransac.num_threads = 1
         pixels = features.pixels[rows] + PIXEL_CENTRE_SHIFT
-        answer = pycolmap.estimate_and_refine_absolute_pose(pixels, points, camera, options)
+        refinement = pycolmap.AbsolutePoseRefinementOptions()
+        refinement.refine_focal_length = find_focal_length
+        answer = pycolmap.estimate_and_refine_absolute_pose(
+            pixels, points, camera, options, refinement
+        )
         if answer is None:
             return FoundPose(matches)
         mask = np.asarray(answer["inlier_mask"], dtype=np.bool_)
@@ -173,7 +185,9 @@ class PoseFinder:
         covariance = repeats * pose_covariance(
             camera, camera_from_world, pixels[mask], points[mask]
         )
-        return FoundPose(matches, inliers, camera_from_world, covariance)
+        return FoundPose(
+            matches, inliers, camera_from_world, covariance, float(camera.mean_focal_length())
+        )
 
     def _features(self, grey: ImageArray, used: ImageArray | None = None) -> Features:
         return find_features(grey, self._settings.max_size, self._settings.max_features, used)

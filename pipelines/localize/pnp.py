@@ -140,16 +140,34 @@ class PnpLocalizer:
         Raises:
             OptionError: an image of another size than the camera.
         """
-        if image.shape[:2] != (self._camera.height, self._camera.width):
-            raise OptionError(
-                f"image is {image.shape[1]}x{image.shape[0]}, "
-                f"its camera {self._camera.width}x{self._camera.height}"
-            )
+        self._check(image)
         start = time.perf_counter()
         found = self._finder.locate(_grey(image))
         state, covariance = self._of_body(found)
         seconds = time.perf_counter() - start
         return PnpAnswer(state, covariance, found.inliers, found.matches, seconds)
+
+    def focal_length(self, image: ImageArray) -> float | None:
+        """The camera's focal length, pixels, where the one that it was made with is only a guess.
+
+        Args:
+            image: ``(height, width, 3)`` RGB as recorded.
+
+        Returns:
+            Mean of both axes; None where features show no pose.
+
+        Raises:
+            OptionError: an image of another size than the camera.
+        """
+        self._check(image)
+        return self._finder.locate(_grey(image), find_focal_length=True).focal_length
+
+    def _check(self, image: ImageArray) -> None:
+        if image.shape[:2] != (self._camera.height, self._camera.width):
+            raise OptionError(
+                f"image is {image.shape[1]}x{image.shape[0]}, "
+                f"its camera {self._camera.width}x{self._camera.height}"
+            )
 
     def _of_body(self, found: FoundPose) -> tuple[FloatArray, FloatArray] | tuple[None, None]:
         """State and covariance of the body; None where a robot on the floor cannot be there."""

@@ -1,12 +1,10 @@
 """The stage ``report``: from a run and its scene to a folder with a page and figures."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from pipelines.artifacts.arguments import PathLike, check_fields, checked_instance, checked_path
-from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.atomic import atomic_folder, check_output
 from pipelines.artifacts.errors import InputError, LfnavError, OptionError
 from pipelines.artifacts.stages import Progress, no_progress
@@ -16,10 +14,6 @@ from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import scene_provenance
 from pipelines.localize.run import Run, load_run
 from pipelines.localize.scene_of_run import load_scene_of_run
-from pipelines.render.area_renderers import colour_renderers
-from pipelines.render.choices import Blending, Quality
-from pipelines.render.renderer import Renderer
-from pipelines.render.surface import quality_named
 from pipelines.report.animation import animation
 from pipelines.report.content import page_of
 from pipelines.report.docking import docking_figure
@@ -30,7 +24,7 @@ from pipelines.report.surroundings import surroundings_of
 from pipelines.report.time_plots import time_figure
 from pipelines.report.tracks import tracks_of
 from pipelines.report.verdict import Verdict
-from pipelines.report.views import MAX_PICTURE_SIDE, ViewMaker
+from pipelines.report.views import ViewMaker, renderer_at
 
 PAGE_NAME = "report.html"
 FIGURE_FOLDER = "figures"
@@ -180,7 +174,7 @@ def _content(
     progress: Progress,
 ) -> Content:
     tracks = tracks_of(run, estimate)
-    maker = ViewMaker(run, _renderer_at(scene))
+    maker = ViewMaker(run, renderer_at(scene))
     views = {}
     for index in progress(indices, "views", len(indices)):
         odometry = None if tracks.odometry_states is None else tracks.odometry_states[index]
@@ -199,16 +193,6 @@ def _content(
             points = obstacle_points(scene, top)
         around = replace(around, obstacles=points)
     return Content(run, tracks, around, views)
-
-
-def _renderer_at(scene: Scene | OpenWorld) -> Callable[[FloatArray], Renderer]:
-    """What says which renderer shows what is seen from a pose ``(4, 4)``."""
-    if isinstance(scene, Scene):
-        quality = quality_named(None, bool(scene.depth), Quality.FINE)
-        renderer = Renderer.of_scene(scene, MAX_PICTURE_SIDE, quality=quality)
-        return lambda _: renderer
-    quality = quality_named(None, scene.has_depth, Quality.FINE)
-    return colour_renderers(scene, MAX_PICTURE_SIDE, Blending.UNSTRUCTURED, quality)
 
 
 def _animation(content: Content, progress: Progress) -> bytes | None:

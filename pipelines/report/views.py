@@ -9,8 +9,13 @@ import numpy as np
 from pipelines.artifacts.arrays import BoolArray, FloatArray, ImageArray
 from pipelines.dataset.images import decode_image
 from pipelines.geometry.camera import Intrinsics, Undistorter
+from pipelines.lightfield.open_world import OpenWorld
+from pipelines.lightfield.scene import Scene
 from pipelines.localize.run import Run
+from pipelines.render.area_renderers import colour_renderers
+from pipelines.render.choices import Blending, Quality
 from pipelines.render.renderer import Renderer, Rendering
+from pipelines.render.surface import quality_named
 from pipelines.report.style import UNCOVERED_DARK, UNCOVERED_LIGHT
 
 # The largest pictures are four inches wide at 120 pixels an inch.
@@ -89,6 +94,23 @@ class ViewMaker:
         world_from_camera = self._run.space.poses(state) @ self._run.base_from_camera
         renderer = self._renderer_at(world_from_camera)
         return model_view(real, renderer.render(world_from_camera, self._intrinsics))
+
+
+def renderer_at(scene: Scene | OpenWorld) -> Callable[[FloatArray], Renderer]:
+    """What says which renderer shows what is seen from a pose ``(4, 4)``, in pictures for people.
+
+    Args:
+        scene: the light field, or a world of several.
+
+    Raises:
+        InputError: a photo of the scene cannot be decoded.
+    """
+    if isinstance(scene, Scene):
+        quality = quality_named(None, bool(scene.depth), Quality.FINE)
+        renderer = Renderer.of_scene(scene, MAX_PICTURE_SIDE, quality=quality)
+        return lambda _: renderer
+    quality = quality_named(None, scene.has_depth, Quality.FINE)
+    return colour_renderers(scene, MAX_PICTURE_SIDE, Blending.UNSTRUCTURED, quality)
 
 
 def picture_intrinsics(intrinsics: Intrinsics) -> Intrinsics:
