@@ -5,7 +5,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from lfnav_cli.common import common_options, json_option, overwrite_option, print_summary
+from lfnav_cli.common import (
+    common_options,
+    json_option,
+    overwrite_option,
+    parse_numbers,
+    print_summary,
+)
 
 if TYPE_CHECKING:
     from pipelines.artifacts.stages import Progress
@@ -128,6 +134,12 @@ def known_kinds() -> list[str]:
     "base_link or base_footprint.",
 )
 @click.option(
+    "--mount",
+    metavar="X,Y,Z,ROLL,PITCH,YAW",
+    callback=parse_numbers(6, "X,Y,Z,ROLL,PITCH,YAW"),
+    help="bag: the camera on that frame, in metres and degrees. Default: what tf says.",
+)
+@click.option(
     "--max-gap",
     type=float,
     metavar="S",
@@ -173,6 +185,7 @@ def command(
     odometry: str | None,
     groundtruth: str | None,
     base: str | None,
+    mount: tuple[float, ...] | None,
     max_gap: float | None,
     distance: float | None,
     angle: float | None,
@@ -220,6 +233,7 @@ def command(
         odometry=odometry,
         groundtruth=groundtruth,
         base=base,
+        mount=mount,
         max_gap=max_gap,
         distance=distance,
         angle=angle,

@@ -14,6 +14,7 @@ WORLD_FILE, AREA_FOLDER = "world.h5", "areas"
 BUILDING_SUFFIX = ".areas-in-progress"
 # Recordings of ROS: files, and folders with an index of this name and content.
 BAG_SUFFIXES = (".bag", ".db3", ".mcap")
+_DATA_SET_SUFFIXES = (".jpg", ".jpeg", ".png", ".txt")
 ROSBAG2_METADATA, _ROSBAG2_KEY = "metadata.yaml", b"rosbag2_bagfile_information"
 
 Kind = Literal["reconstruction", "world", "scene", "run", "bag", "dataset"]
@@ -68,9 +69,11 @@ def is_bag(path: Path) -> bool:
         if index.is_file():
             with index.open("rb") as file:
                 return _ROSBAG2_KEY in file.read(4096)
-        # rgb.txt: a data set with a bag beside its images stays one.
-        children = {child.name: child.suffix for child in path.iterdir()}
-        return "rgb.txt" not in children and any(s in BAG_SUFFIXES for s in children.values())
+        # Nothing but parts of one: a data set with a bag beside its images stays a data set.
+        children = list(path.iterdir())
+        return any(child.suffix in BAG_SUFFIXES for child in children) and not any(
+            child.is_dir() or child.suffix.lower() in _DATA_SET_SUFFIXES for child in children
+        )
     except (OSError, ValueError):
         return False
 

@@ -20,6 +20,7 @@ from pipelines.artifacts.arguments import PathLike, checked_index, checked_path
 from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.artifacts.errors import InputError, quoted, reason_of
 from pipelines.artifacts.file_content import is_file, read_text_file
+from pipelines.artifacts.kinds import is_bag
 from pipelines.dataset.camera_file import CameraFile, read_camera_file
 from pipelines.dataset.images import (
     IMAGE_SUFFIXES,
@@ -219,6 +220,12 @@ def _check_folder(root: Path) -> None:
         raise InputError(root, "does not exist") from error
     except (OSError, ValueError) as error:
         raise InputError(root, f"cannot be read ({reason_of(error)})") from error
+    if is_bag(root):
+        raise InputError(
+            root,
+            "is a ROS bag, not a folder of images",
+            f"make a data set of it first: lfnav import {root.name} -o drive",
+        )
     if is_folder:
         if not os.access(root, os.R_OK | os.X_OK):
             raise InputError(root, "cannot be read (no permission)")

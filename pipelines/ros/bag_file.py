@@ -33,6 +33,7 @@ _KNOWN_TYPES = (*IMAGE_TYPES, INFO_TYPE, *TF_TYPES, *POSE_TYPES)
 _TF_DEFINITION = "geometry_msgs/TransformStamped[] transforms"
 # Chunks that have to be decompressed at the same time because their times overlap.
 MAX_OVERLAPPING_BYTES = 2 * MAX_CHUNK_BYTES
+MAX_METADATA_BYTES = 4 * 1024**2
 _REMEDIES = {
     ".bag": "rosbag reindex may mend it",
     ".mcap": "mcap recover may mend it",
@@ -220,6 +221,8 @@ def _files_of(path: Path) -> tuple[list[Path], str]:
             raise InputError(path, "does not exist")
         if path.is_dir():
             if (path / ROSBAG2_METADATA).is_file():
+                if (path / ROSBAG2_METADATA).stat().st_size > MAX_METADATA_BYTES:
+                    raise InputError(path / ROSBAG2_METADATA, "is too large for an index")
                 return [path], "ROS 2"
             parts = sorted(path.glob("*.bag"), key=lambda part: natural_key(part.name))
             if parts:

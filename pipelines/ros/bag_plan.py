@@ -11,6 +11,7 @@ from pipelines.artifacts.errors import InputError, OptionError, StageError, quot
 from pipelines.artifacts.stages import Progress
 from pipelines.dataset.importers.settings import DEFAULT_MAX_GAP, ImportSettings
 from pipelines.geometry.camera import Camera
+from pipelines.geometry.pose import base_from_camera_mount
 from pipelines.geometry.trajectory import Trajectory
 from pipelines.ros.bag_file import Bag
 from pipelines.ros.bag_survey import Survey, survey_bag
@@ -97,11 +98,12 @@ def plan_import(bag: Bag, settings: ImportSettings, progress: Progress) -> BagPl
     if odometry is None and settings.odometry is None:
         odometry = odometry_of_tf(tree, max_gap)
     base = _base(tree, chosen, odometry, settings)
-    base_from_camera = None if base is None else tree.fixed(base, chosen.frame)
+    base_from_camera = _mount(tree, base, chosen, settings)
     notes = _notes(cameras, chosen, base_from_camera)
     stamps = survey.image_stamps(chosen.topic)
     arrivals = _in_time(stamps, settings, notes)
-    body = chosen.frame if base is None else base
+    # Without a name of the robot's frame, all poses are taken to be of the body.
+    body = base if base is not None else "" if settings.mount is not None else chosen.frame
     at_images: Trajectory | None = None
     if odometry is not None:
         arrivals, at_images = _with_odometry(
@@ -184,7 +186,7 @@ def _base(
     frame = settings.base
     if frame is None and odometry is not None:
         frame = odometry.child or base_of_tf(tree)
-        if frame is None:
+        if frame is None and settings.mount is None:
             raise InputError(
                 tree.source,
                 f"nothing says which frame the poses of {quoted(odometry.text)} are of",
@@ -193,6 +195,24 @@ def _base(
     if frame is None:
         frame = base_of_tf(tree)
     return None if frame == chosen.frame else frame
+
+
+def _mount(
+    tree: TransformTree, base: str | None, chosen: CameraTopic, settings: ImportSettings
+) -> FloatArray | None:
+    """``base_from_camera``; None where the body is the camera."""
+    if settings.mount is not None:
+        return base_from_camera_mount(settings.mount[:3], settings.mount[3:])
+    if base is None:
+        return None
+    try:
+        return tree.fixed(base, chosen.frame)
+    except InputError as error:
+        raise InputError(
+            error.path,
+            error.reason,
+            "name the robot's frame with --base, or give the camera's place on it with --mount",
+        ) from error
 
 
 def _notes(
@@ -236,7 +256,7 @@ def _in_time(stamps: IntArray, settings: ImportSettings, notes: list[str]) -> In
 
 def _of_frame(tree: TransformTree, source: PoseSource, body: str) -> PoseTrack:
     """The poses of the body, which may be another frame of the same robot."""
-    if source.child in {"", body}:
+    if not body or source.child in {"", body}:
         return source.track
     return source.track.moved(np.eye(4), tree.fixed(source.child, body))
 

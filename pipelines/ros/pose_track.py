@@ -16,6 +16,8 @@ from pipelines.geometry.pose import pose_from_quaternion, pose_from_rotation
 NANOSECONDS = 1_000_000_000
 # Quaternions in messages are unit ones but for rounding to 32 bits.
 QUATERNION_TOLERANCE = 0.02
+# Metres: further than any robot goes, and its square is still a number.
+LARGEST_NUMBER = 1e9
 
 
 @dataclass(frozen=True)
@@ -95,9 +97,10 @@ class PoseSamples:
         table = np.array(self.numbers, dtype=np.float64).reshape(-1, 7)
         if len(stamps) > 1 and not np.any(stamps):
             raise InputError(name, f"the stamps of {what} are all zero")
+        # Numbers that are not a number compare false.
+        if not np.all(np.abs(table) <= LARGEST_NUMBER):
+            raise InputError(name, f"{what} has a pose that is not finite, or beyond all places")
         lengths = np.linalg.norm(table[:, 3:], axis=1)
-        if not np.all(np.isfinite(table)):
-            raise InputError(name, f"{what} has a pose that is not finite (nan or inf)")
         if np.any(np.abs(lengths - 1.0) > QUATERNION_TOLERANCE):
             raise InputError(name, f"{what} has a quaternion that is not of unit length")
         order = np.argsort(stamps, kind="stable")

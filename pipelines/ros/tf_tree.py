@@ -96,6 +96,7 @@ class TransformTree:
                     f"/tf has more than {MAX_TRANSFORMS} transforms",
                     "split the bag, or leave topics out of it",
                 )
+            self._tracks.pop((parent, child), None)
             edge.samples.add(stamp_of(transform), translation, rotation)
 
     def fixed(self, target: str, source: str) -> FloatArray:

@@ -18,8 +18,10 @@ from tests.bag_samples import EPOCH, NS, Frame, Messages, circle, entries, small
 
 GIGABYTES, MEGABYTE = 2.0, 1024**2
 SIZE = (960, 720)
+# A shell's background processes ignore Ctrl-C; this one does not.
 PROGRAM = (
-    "import sys; from lfnav_cli.common import run_command; from lfnav_cli.main import main; "
+    "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    "from lfnav_cli.common import run_command; from lfnav_cli.main import main; "
     "sys.exit(run_command(main))"
 )
 
@@ -80,11 +82,14 @@ def test_a_large_bag_takes_little_memory_and_leaves_nothing_when_interrupted(
     assert sum(file.stat().st_size for file in tmp_path.rglob("*") if file.is_file()) > 1.9e9
     before = sorted(tmp_path.rglob("*"))
     interrupted = start("import", bag, "-o", tmp_path / "out")
-    while not list(tmp_path.glob(".out.*/rgb/*.png")):
-        assert interrupted.poll() is None, interrupted.communicate()
-        time.sleep(0.1)
-    interrupted.send_signal(signal.SIGINT)
-    _, err = interrupted.communicate(timeout=60)
+    try:
+        while not list(tmp_path.glob(".out.*/rgb/*.png")):
+            assert interrupted.poll() is None, interrupted.communicate()
+            time.sleep(0.1)
+        interrupted.send_signal(signal.SIGINT)
+        _, err = interrupted.communicate(timeout=120)
+    finally:
+        interrupted.kill()
     assert (interrupted.returncode, err.strip()) == (130, "lfnav: interrupted")
     assert sorted(tmp_path.rglob("*")) == before
     # One image in fifty: all are read, few are encoded as PNG.

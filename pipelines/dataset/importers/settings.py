@@ -18,6 +18,7 @@ _OF_BAGS = (
     "odometry",
     "groundtruth",
     "base",
+    "mount",
     "max_gap",
     "distance",
     "angle",
@@ -90,6 +91,8 @@ class ImportSettings:
         odometry: bag: topic of the odometry, ``PARENT:CHILD`` of tf, or ``none``.
         groundtruth: bag: topic of the true poses, or ``PARENT:CHILD`` of tf.
         base: bag: the robot's frame, on which the camera is mounted.
+        mount: bag: the camera on that frame, where tf does not say: x, y, z in metres, roll, pitch,
+            yaw in degrees.
         max_gap: bag: seconds between two poses at most for one to be interpolated between them;
             None: ``DEFAULT_MAX_GAP``.
         distance: bag: metres from one image to the next.
@@ -121,6 +124,7 @@ class ImportSettings:
     odometry: str | None = None
     groundtruth: str | None = None
     base: str | None = None
+    mount: tuple[float, ...] | None = None
     max_gap: float | None = None
     distance: float | None = None
     angle: float | None = None
@@ -144,6 +148,10 @@ class ImportSettings:
             raise OptionError(f"--start {self.start:g} is negative or not finite")
         if self.end is not None and self.end <= (self.start or 0.0):
             raise OptionError(f"--end {self.end:g} does not come after --start {self.start or 0:g}")
+        if self.mount is not None and not (
+            len(self.mount) == 6 and all(math.isfinite(value) for value in self.mount)
+        ):
+            raise OptionError("--mount is not six finite numbers")
         self._check_choice("image_format", IMAGE_FORMATS)
         for first, second in (("focal", "fov"), ("every", "fps")):
             if getattr(self, first) is not None and getattr(self, second) is not None:
