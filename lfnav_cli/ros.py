@@ -34,6 +34,26 @@ class NodeCommand(SettingsCommand):
         return super().parse_args(ctx, args[:cut])
 
 
+def detector_entries() -> "Sequence[Entry]":
+    """The settings of the dock detector, of the nodes, and of the localization."""
+    from pipelines.ros.detector_settings import ENTRIES
+
+    return (*ENTRIES, *ros_entries())
+
+
+memory_option = click.option(
+    "--memory",
+    type=float,
+    metavar="MB",
+    help="In a world of areas: what localization may take of memory beyond the program itself. "
+    "Default: 1000.",
+)
+seed_option = click.option("--seed", type=int, default=0, show_default=True, help="Random seed.")
+autostart_option = click.option(
+    "--autostart", is_flag=True, help="Configure and activate at once, without a lifecycle manager."
+)
+
+
 @click.group("ros")
 def command() -> None:
     """Nodes of ROS 2, for a robot."""
@@ -42,17 +62,9 @@ def command() -> None:
 @command.command("localize", cls=NodeCommand)
 @click.argument("scene", metavar="SCENE.h5|WORLD", type=click.Path(path_type=Path))
 @config_file_option
-@click.option(
-    "--memory",
-    type=float,
-    metavar="MB",
-    help="In a world of areas: what localization may take of memory beyond the program itself. "
-    "Default: 1000.",
-)
-@click.option("--seed", type=int, default=0, show_default=True, help="Random seed.")
-@click.option(
-    "--autostart", is_flag=True, help="Configure and activate at once, without a lifecycle manager."
-)
+@memory_option
+@seed_option
+@autostart_option
 @common_options
 @setting_options(ros_entries())
 def localize(
@@ -79,6 +91,47 @@ def localize(
     from pipelines.ros.run_node import run_localizer
 
     run_localizer(
+        scene,
+        config,
+        chosen,
+        seed=seed,
+        memory=memory,
+        autostart=autostart,
+        ros_arguments=click.get_current_context().meta["lfnav.ros_arguments"],
+    )
+
+
+@command.command("dock-detector", cls=NodeCommand)
+@click.argument("scene", metavar="SCENE.h5|WORLD", type=click.Path(path_type=Path))
+@config_file_option
+@memory_option
+@seed_option
+@autostart_option
+@common_options
+@setting_options(detector_entries())
+def dock_detector(
+    scene: Path,
+    config: Path | None,
+    memory: float | None,
+    seed: int,
+    autostart: bool,
+    chosen: "Mapping[str, Any]",
+    progress: "Progress",
+) -> None:
+    """Tells nav2's docking server where a dock is, by the robot's camera.
+
+    A managed node, named dock_detector. It publishes detected_dock_pose from one call of the
+    service detect_dock (std_srvs/Trigger) to the next, and nothing that is old or not sure. Every
+    setting is an option, and a parameter of that name. docs/ros.md has nav2's parameters.
+
+    \b
+    Example:
+      lfnav ros dock-detector scene.h5 --goal -1.15,-1.65,90 --autostart
+      lfnav ros dock-detector world/ --ros-args --params-file nav2.yaml
+    """
+    from pipelines.ros.run_node import run_dock_detector
+
+    run_dock_detector(
         scene,
         config,
         chosen,

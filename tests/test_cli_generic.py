@@ -29,6 +29,7 @@ INPUT_IS_MISSING = {
     "serve": ["missing", "--port", "0"],
     "dock": ["missing", "-o", "output", "--robot", "model:missing", "--goal", "0,0,0"],
     "ros localize": ["missing"],
+    "ros dock-detector": ["missing", "--goal", "0,0,0"],
     "evaluate": ["missing"],
     "report": ["missing", "-o", "output"],
     "sweep": ["missing", "-o", "output"],
@@ -37,7 +38,7 @@ INPUT_IS_MISSING = {
 }
 
 # Groups have commands of their own.
-GROUPS = {"ros": ("localize",)}
+GROUPS = {"ros": ("localize", "dock-detector")}
 LEAVES = [name for name in COMMANDS if name not in GROUPS]
 LEAVES += [f"{group} {name}" for group, names in GROUPS.items() for name in names]
 

@@ -101,7 +101,7 @@ class LocalizationLoop:
     def on_image(self, message: Any) -> None:
         """A sensor_msgs/Image or CompressedImage."""
         stamp = stamp_of(message)
-        self._note("stamp", "" if stamp else f"images on {self._settings.image_topic} have no time")
+        self.note("stamp", "" if stamp else f"images on {self._settings.image_topic} have no time")
         if not stamp:
             return
         if stamp < self._newest - CLOCK_JUMP * NANOSECONDS:
@@ -124,13 +124,13 @@ class LocalizationLoop:
         is_pose = self._odometry.add_pose(
             settings.odom_frame_id, settings.base_frame_id, stamp, message.pose.pose
         )
-        self._note("odometry", "" if is_pose else "a message of odometry holds no pose")
+        self.note("odometry", "" if is_pose else "a message of odometry holds no pose")
 
     def on_transforms(self, message: Any, *, is_static: bool) -> None:
         """A tf2_msgs/TFMessage."""
         refused = self.transforms.add(message.transforms, is_static=is_static)
         names = ", ".join(map(quoted, refused))
-        self._note("transform", f"tf of {names} is no transform" if refused else "")
+        self.note("transform", f"tf of {names} is no transform" if refused else "")
 
     def set_pose(self, map_from_base: FloatArray, covariance: FloatArray) -> None:
         """Goes on around a pose: ``(4, 4)``, with covariance ``(6, 6)``.
@@ -159,6 +159,12 @@ class LocalizationLoop:
         with self._lock:
             self._localizer.reset()
             self._publishing.update(None)
+
+    def note(self, kind: str, text: str) -> None:
+        """Says that something is wrong, or over where ``text`` is empty: once each."""
+        line = self._health.fault(kind, text)
+        if line is not None:
+            self._outputs.say(line, is_error=bool(text))
 
     def check(self) -> None:
         """Looks whether the camera is silent; to be called now and then."""
@@ -214,17 +220,12 @@ class LocalizationLoop:
     def _outcome(self, kind: str, text: str) -> None:
         """Notes what went wrong with an image; what went wrong with one before is over."""
         for other in ("tf", "image", "defect"):
-            self._note(other, text if other == kind else "")
+            self.note(other, text if other == kind else "")
 
     def _repeat(self, stamp: int) -> None:
         known = self._publishing.repeated(stamp)
         if known is not None:
             self._outputs.transform(known, stamp)
-
-    def _note(self, kind: str, text: str) -> None:
-        line = self._health.fault(kind, text)
-        if line is not None:
-            self._outputs.say(line, is_error=bool(text))
 
     def _odometry_at(self, stamp: int) -> FloatArray:
         settings = self._settings

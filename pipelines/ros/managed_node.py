@@ -20,6 +20,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from pipelines.artifacts.errors import InputError, LfnavError, OptionError
+from pipelines.artifacts.setting import Entry
 from pipelines.artifacts.settings_file import Choices
 from pipelines.dataset.camera_file import read_camera_file
 from pipelines.lightfield.open_world import OpenWorld, scene_or_world
@@ -89,7 +90,7 @@ class ManagedNode(LifecycleNode):  # type: ignore[misc]
         super().__init__(name)
         self._request = request
         self._defaults = declared_defaults(effective_settings(request.config, request.chosen))
-        self._entries = {entry.name: entry for entry in ENTRIES}
+        self._entries: dict[str, Entry] = {}
         self._made: list[Any] = []
         self._loop: LocalizationLoop | None = None
         self._settings = NodeSettings()
@@ -119,6 +120,12 @@ class ManagedNode(LifecycleNode):  # type: ignore[misc]
     def end(self) -> None:
         """Stops whatever runs; the node is destroyed next."""
         self._give_back()
+
+    def declare_setting(self, entry: Entry, value: Any) -> None:
+        """Declares a setting as a parameter, which is checked when it is set."""
+        descriptor = rclpy.node.ParameterDescriptor(description=entry.comment, dynamic_typing=True)
+        self._entries[entry.name] = entry
+        self.declare_parameter(entry.name, value, descriptor)
 
     @property
     def settings(self) -> NodeSettings:
@@ -282,10 +289,8 @@ class ManagedNode(LifecycleNode):  # type: ignore[misc]
 
     def _declare(self) -> None:
         described = rclpy.node.ParameterDescriptor
-        for name, entry in self._entries.items():
-            value = parameter_value(entry, self._defaults[entry.path])
-            descriptor = described(description=entry.comment, dynamic_typing=True)
-            self.declare_parameter(name, value, descriptor)
+        for entry in ENTRIES:
+            self.declare_setting(entry, parameter_value(entry, self._defaults[entry.path]))
         text = described(description="whether the first pose is that of initial_pose")
         self.declare_parameter("set_initial_pose", value=False, descriptor=text)
         for name in INITIAL_POSE:

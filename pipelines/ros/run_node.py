@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 from pipelines.artifacts.arguments import checked_number
 from pipelines.artifacts.errors import InputError, StageError
 from pipelines.artifacts.settings_file import Choices
+from pipelines.ros import detector_settings
+from pipelines.ros.detector_settings import DetectorSettings
 from pipelines.ros.installation import require_rclpy
 from pipelines.ros.node_settings import effective_settings
 
@@ -45,6 +47,42 @@ def run_localizer(
 
     request = NodeRequest(scene, config, chosen, seed, memory, autostart)
     _run(LocalizerNode, request, ros_arguments)
+
+
+def run_dock_detector(
+    scene: Path,
+    config: Path | None,
+    chosen: Choices,
+    *,
+    seed: int = 0,
+    memory: float | None = None,
+    autostart: bool = False,
+    ros_arguments: Sequence[str] = (),
+) -> None:
+    """Runs the node that detects a dock for nav2.
+
+    Args:
+        scene: scene model, or the folder of a world.
+        config: settings file of the localization; None: there is none.
+        chosen: settings by path that win over it, those of the detector among them.
+        seed: of the filter's random numbers.
+        memory: megabytes that a world may take; None: 1000.
+        autostart: whether the node configures and activates itself.
+        ros_arguments: from ``--ros-args`` on.
+
+    Raises:
+        InputError, OptionError: impossible settings.
+        StageError: there is no ROS 2, or the node could not start itself.
+    """
+    own = {entry.path for entry in detector_settings.ENTRIES}
+    detector = DetectorSettings(**{name: value for name, value in chosen.items() if name in own})
+    chosen = {name: value for name, value in chosen.items() if name not in own}
+    _check(scene, config, chosen, seed)
+    from pipelines.ros.dock_detector_node import DockDetectorNode
+    from pipelines.ros.managed_node import NodeRequest
+
+    request = NodeRequest(scene, config, chosen, seed, memory, autostart)
+    _run(lambda given: DockDetectorNode(given, detector), request, ros_arguments)
 
 
 def _check(scene: Path, config: Path | None, chosen: Choices, seed: int) -> None:
