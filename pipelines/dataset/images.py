@@ -107,10 +107,14 @@ def decode_image(data: bytes, name: Path | str) -> ImageArray:
         # Pillow would clip at 255 where the other decoders scale.
         grey = (np.asarray(image).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8)
         return np.repeat(grey[:, :, None], 3, axis=2)
-    if image.mode == "P":
-        image = image.convert("RGBA")
-    # Pillow would convert what is RGB already into a copy.
-    return np.array(image if image.mode == "RGB" else image.convert("RGB"), dtype=np.uint8)
+    try:
+        if image.mode == "P":
+            image = image.convert("RGBA")
+        # Pillow would convert what is RGB already into a copy.
+        return np.array(image if image.mode == "RGB" else image.convert("RGB"), dtype=np.uint8)
+    except Exception as error:  # a pixel beyond the palette, for one: whatever Pillow raises
+        reason = f"is a damaged or truncated image ({reason_of(error)})"
+        raise InputError(name, reason) from error
 
 
 def decode_depth(data: bytes, name: Path | str) -> NDArray[np.uint16]:

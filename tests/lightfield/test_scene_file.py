@@ -277,7 +277,8 @@ def test_camera_index_out_of_range(tmp_path: Path, index: int) -> None:
 
 
 @pytest.mark.parametrize(
-    "bounds", [[1.0, 1.0, 0.0, 1.0], [0.0, 1.0, 2.0, 1.0], [0.0, np.nan, 0.0, 1.0]]
+    "bounds",
+    [[1.0, 1.0, 0.0, 1.0], [0.0, 1.0, 2.0, 1.0], [0.0, np.nan, 0.0, 1.0], [0.0, 1e-300, 0.0, 1.0]],
 )
 def test_bounds_without_area(tmp_path: Path, bounds: list[float]) -> None:
     path = saved(tmp_path / "s.h5", small_scene(bounds=np.array(bounds)))
