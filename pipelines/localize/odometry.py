@@ -7,7 +7,7 @@ from pipelines.artifacts.errors import InputError
 from pipelines.dataset.dataset import Dataset
 from pipelines.dataset.pairing import pair_images
 from pipelines.geometry.interpolation import MAX_GAP
-from pipelines.geometry.planarity import check_planar
+from pipelines.geometry.planarity import check_planar, note_on_speed
 from pipelines.localize.settings import LocalizerSettings
 
 
@@ -46,6 +46,10 @@ def images_with_odometry(
         count = f"{len(found.left_out)} of {len(dataset)} images have none"
         return dataset, None, [f"{source}: is not shown beside the poses: {count}"]
     notes = [*found.notes, *_check(found.world_from_body, settings, source)]
+    times = dataset.timestamps[found.image_index]
+    speed = note_on_speed(times, found.world_from_body[:, :3, 3])
+    if speed is not None:
+        notes.append(f"{source}: {speed}")
     return dataset.part(found.image_index.tolist()), found.world_from_body, notes
 
 

@@ -23,11 +23,11 @@ from pipelines.dataset.dataset import (
     Dataset,
     load_dataset,
 )
-from pipelines.geometry.interpolation import MAX_GAP, poses_at_times
+from pipelines.geometry.interpolation import MAX_GAP
 from pipelines.lightfield.open_world import OpenWorld, checked_scene, scene_or_world
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.belief import Region
-from pipelines.localize.description import RunSummary
+from pipelines.localize.description import UNIT_OF_LENGTH, RunSummary
 from pipelines.localize.landmarks import LandmarkSource
 from pipelines.localize.localizer import NO_PNP, Localizer, region_of
 from pipelines.localize.map_heights import notes_on_heights
@@ -39,7 +39,7 @@ from pipelines.localize.pnp_frames import beside, pnp_record
 from pipelines.localize.run import FrameRecord, Run, save_run
 from pipelines.localize.scene_of_run import relative_scene_path
 from pipelines.localize.settings import LocalizerSettings
-from pipelines.localize.state_space import StateSpace
+from pipelines.localize.true_states import states_of_truth
 from pipelines.reconstruct.reconstruction import DESCRIPTION_NAME, load_reconstruction
 from pipelines.render.devices import resolved_device
 
@@ -249,6 +249,13 @@ def localize_dataset(
     dataset, body_poses, notes = images_with_odometry(dataset, settings, odometry, max_gap)
     if space.angles == 1 and isinstance(scene, Scene):
         notes += notes_on_heights(scene, float(mount[2, 3]))
+    if isinstance(scene, Scene) and scene.unit != "m":
+        record = {**record, UNIT_OF_LENGTH: scene.unit}
+        if space.angles == 1:
+            notes.append(
+                "the scene's scale is unknown, odometry and mount are metres: lfnav reconstruct or "
+                "import it with --scale"
+            )
     pnp = None
     if settings.uses_pnp:
         mapped = _one_scene(scene)
@@ -286,7 +293,7 @@ def localize_dataset(
         frames=tuple(frames),
         encoded_images=tuple(dataset.read_image_bytes(index) for index in range(len(dataset))),
         odometry=None if body_poses is None else space.states(body_poses),
-        groundtruth=_groundtruth_states(dataset, space, max_gap),
+        groundtruth=states_of_truth(dataset, space, max_gap),
         provenance={**record, "notes": notes} if notes else record,
         areas=scene.area_map if isinstance(scene, OpenWorld) else None,
     )
@@ -324,13 +331,3 @@ def _locator(
         return beside(record, answer, noted=settings.with_pnp)
 
     return step
-
-
-def _groundtruth_states(dataset: Dataset, space: StateSpace, max_gap: float) -> FloatArray | None:
-    """``(N, D)`` true states, NaN where there is none; for evaluation only."""
-    if dataset.groundtruth is None:
-        return None
-    found = poses_at_times(dataset.groundtruth, dataset.timestamps, max_gap)
-    states = np.full((len(dataset), space.dimension), np.nan)
-    states[found.is_known] = space.states(found.poses[found.is_known])
-    return states

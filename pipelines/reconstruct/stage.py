@@ -20,7 +20,7 @@ from pipelines.artifacts.provenance import provenance, sha256_of_bytes, sha256_o
 from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.dataset.dataset import ODOMETRY_FILE, Dataset, load_dataset
 from pipelines.dataset.images import decode_image, read_image_header
-from pipelines.geometry.planarity import check_planar, check_quaternion_order
+from pipelines.geometry.planarity import check_planar, check_quaternion_order, note_on_speed
 from pipelines.geometry.pose import inverse, planar_state_of
 from pipelines.reconstruct.alignment import Similarity, align_by_convention, align_to_odometry
 from pipelines.reconstruct.description import ReconstructionSummary
@@ -31,6 +31,7 @@ from pipelines.reconstruct.known_poses import (
     poses_from_odometry,
 )
 from pipelines.reconstruct.planar_adjustment import adjust_in_plane
+from pipelines.reconstruct.pose_check import note_on_poses
 from pipelines.reconstruct.reconstruction import (
     DESCRIPTION_NAME,
     Reconstruction,
@@ -103,6 +104,9 @@ def reconstruct(
         result = replace(result, dropped=dropped | result.dropped)
     elif settings.poses is not None:
         poses = poses_from_file(data, settings.poses, settings.max_gap)
+        known_camera(data)
+        for note in _notes_on_given(data, poses):
+            _log.warning("%s: %s", settings.poses, note)
         result = _from_known_poses(data, settings, poses, "given poses", progress)
     else:
         poses = poses_from_odometry(data, settings.max_gap)
@@ -113,6 +117,13 @@ def reconstruct(
     save_reconstruction(output, result, record, overwrite)
     shutil.rmtree(unfinished, ignore_errors=True)
     return ReconstructionSummary(output, result)
+
+
+def _notes_on_given(data: Dataset, poses: KnownPoses) -> list[str]:
+    """What photos and times say against given poses."""
+    times = data.timestamps[poses.image_index]
+    speed = note_on_speed(times, poses.world_from_camera[:, :3, 3])
+    return [note for note in (note_on_poses(data, poses), speed) if note is not None]
 
 
 def _without_repeats(data: Dataset) -> tuple[Dataset, dict[str, str]]:

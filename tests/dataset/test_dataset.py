@@ -1,6 +1,7 @@
 """Data sets: what is right loads, what is wrong is one line that names the file and the reason."""
 
 import json
+import logging
 import os
 import re
 import subprocess
@@ -40,6 +41,12 @@ TUM = "{time} {x} 0 0 0 0 0 1\n"
 
 def picture(number: int, height: int = 12, width: int = 16) -> ImageArray:
     return np.full((height, width, 3), 10 * number, dtype=np.uint8)
+
+
+@pytest.fixture(autouse=True)
+def _warnings_are_said(caplog: pytest.LogCaptureFixture) -> None:
+    # Commands with --quiet, which other tests run, silence the library.
+    caplog.set_level(logging.WARNING, logger="pipelines")
 
 
 @pytest.fixture

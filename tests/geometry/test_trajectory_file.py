@@ -1,5 +1,6 @@
 """Files of poses as programs write them: orders, units, separators, gaps."""
 
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,12 @@ ROS = "%time,field.header.seq,field.header.stamp," + ",".join(
     + [f"field.pose.pose.orientation.{axis}" for axis in "xyzw"]
     + [f"field.twist.twist.linear.{axis}" for axis in "xyz"]
 )
+
+
+@pytest.fixture(autouse=True)
+def _warnings_are_said(caplog: pytest.LogCaptureFixture) -> None:
+    # Commands with --quiet, which other tests run, silence the library.
+    caplog.set_level(logging.WARNING, logger="pipelines")
 
 
 def rows(order: str, unit: float = 1.0, metre: float = 1.0) -> list[list[str]]:
