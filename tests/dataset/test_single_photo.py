@@ -27,7 +27,9 @@ def written(
         exif[ExifTags.Base.Orientation] = orientation
     if film_focal is not None:
         exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = film_focal
-    Image.fromarray(pixels).save(path, kind, exif=exif)
+    Image.fromarray(pixels).save(
+        path, kind, exif=exif, **({"lossless": True} if kind == "WEBP" else {})
+    )
     return path
 
 
