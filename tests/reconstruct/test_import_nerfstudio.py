@@ -322,28 +322,6 @@ def test_times_are_taken_over_and_order_the_images(tmp_path: Path) -> None:
     assert data.groundtruth.poses[:, 1, 3].tolist() == [1.0, 2.0, 3.0, 0.0]
 
 
-@pytest.mark.parametrize(
-    ("times", "note"),
-    [
-        ([1.0, None, 2.0], "timestamp: only 2 of 3 frames have one"),
-        ([1.0, 1.0, 2.0], "timestamp: several frames have the same"),
-        ([1.4e18, 1.5e18, 1.6e18], "timestamp: they are no seconds"),
-        ([None, None, None], None),
-    ],
-)
-def test_times_that_cannot_be_taken_over_are_said(
-    tmp_path: Path, times: list[float | None], note: str | None
-) -> None:
-    content = frames_of(tmp_path, 3, "images")
-    for frame, time in zip(content["frames"], times, strict=True):
-        frame["timestamp"] = time
-    recording = read_nerfstudio(write(tmp_path, content))
-    assert [frame.timestamp for frame in recording.frames] == [0.0, 1.0, 2.0]
-    assert [n for n in recording.notes if n.startswith("timestamp")] == (
-        [] if note is None else [f"{note}, so times are 0, 1, 2, …"]
-    )
-
-
 def test_no_focal_length_is_no_camera(tmp_path: Path) -> None:
     content = sample(tmp_path)
     del content["fl_x"], content["fl_y"]

@@ -181,7 +181,7 @@ RGB = noise(HEIGHT, WIDTH, 3)
         (image("yuyv", noise(HEIGHT, 5, 2)), "takes them in pairs"),
         (image("nv12", noise(HEIGHT, 6), height=7), "even numbers"),
         (image("bayer_rggb8", noise(2, 2)), "too few for a Bayer pattern"),
-        (compressed(b"GIF89a" + b"\0" * 50), "neither a JPEG nor a PNG"),
+        (compressed(b"GIF89a" + b"\0" * 50), "neither a JPEG, PNG"),
         (compressed(encode_jpeg(picture())[:-200]), "damaged or truncated"),
         (compressed(b"", "16UC1; compressedDepth png"), "is a depth image"),
     ],

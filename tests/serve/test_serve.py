@@ -300,7 +300,7 @@ def bomb() -> bytes:
     ("image", "words"),
     [
         (b"", ["no image"]),
-        (b"GIF89a", ["neither a JPEG nor a PNG"]),
+        (b"GIF89a", ["neither a JPEG, PNG"]),
         (b"\x00" * 1000, ["neither"]),
         (bomb(), ["image"]),
         (png(640, 481), ["640x481", "640x480"]),
