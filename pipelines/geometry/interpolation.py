@@ -79,12 +79,18 @@ def poses_at_times(
     poses[exact] = trajectory.poses[after[exact]]
     first, second = before[between], after[between]
     share = (timestamps[between] - times[first]) / gaps[between]
-    poses[between] = _between(trajectory.poses[first], trajectory.poses[second], share)
+    poses[between] = poses_between(trajectory.poses[first], trajectory.poses[second], share)
     return PosesInTime(poses, is_known, offsets)
 
 
-def _between(first: FloatArray, second: FloatArray, share: FloatArray) -> FloatArray:
-    """Poses ``(N, 4, 4)`` at the shares ``(N,)`` of the ways from the first to the second."""
+def poses_between(first: FloatArray, second: FloatArray, share: FloatArray) -> FloatArray:
+    """Poses at shares of the ways from one to another: straight lines, shortest arcs.
+
+    Args:
+        first: ``(N, 4, 4)``.
+        second: ``(N, 4, 4)``.
+        share: ``(N,)``, 0 at the first and 1 at the second.
+    """
     weight = share[:, None]
     positions = first[:, :3, 3] * (1.0 - weight) + second[:, :3, 3] * weight
     start, end = _quaternions(first[:, :3, :3]), _quaternions(second[:, :3, :3])

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy
 
 from pipelines.artifacts.arrays import BoolArray, FloatArray, IntArray
 from pipelines.artifacts.errors import InputError
-from pipelines.geometry.pose import pose_from_quaternion, pose_from_rotation
+from pipelines.geometry.interpolation import poses_between
+from pipelines.geometry.pose import pose_from_quaternion
 
 NANOSECONDS = 1_000_000_000
 # Quaternions in messages are unit ones but for rounding to 32 bits.
@@ -58,7 +58,7 @@ class PoseTrack:
             share = (stamps[between] - self.stamps[first]) / (
                 self.stamps[second] - self.stamps[first]
             )
-            poses[between] = _between(self.poses[first], self.poses[second], share)
+            poses[between] = poses_between(self.poses[first], self.poses[second], share)
         return poses, np.asarray(exact | between, dtype=np.bool_)
 
     def moved(self, before: FloatArray, after: FloatArray) -> "PoseTrack":
@@ -151,13 +151,3 @@ def moved_enough(poses: FloatArray, distance: float | None, angle: float | None)
 def merged_stamps(tracks: Iterable[PoseTrack]) -> IntArray:
     """All stamps of several tracks, each once, in order."""
     return np.unique(np.concatenate([track.stamps for track in tracks]))
-
-
-def _between(first: FloatArray, second: FloatArray, share: FloatArray) -> FloatArray:
-    """Poses ``(N, 4, 4)`` at ``share`` ``(N,)`` of the way from the first to the second."""
-    rotation = scipy.spatial.transform.Rotation
-    start = rotation.from_matrix(first[:, :3, :3])
-    step = (start.inv() * rotation.from_matrix(second[:, :3, :3])).as_rotvec()
-    turned = start * rotation.from_rotvec(step * share[:, None])
-    place = first[:, :3, 3] + share[:, None] * (second[:, :3, 3] - first[:, :3, 3])
-    return pose_from_rotation(turned.as_matrix(), place)

@@ -6,7 +6,6 @@ is none, for a robot may have braked since.
 
 import bisect
 import difflib
-import math
 import threading
 import time
 from collections.abc import Iterable
@@ -17,6 +16,7 @@ import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import LfnavError, quoted
+from pipelines.geometry.interpolation import poses_between
 from pipelines.geometry.pose import inverse, pose_from_quaternion
 from pipelines.ros.pose_track import NANOSECONDS, QUATERNION_TOLERANCE, frame_name, stamp_of
 
@@ -207,7 +207,10 @@ class TransformBuffer:
                 f"{what} has a gap of {(after - before) / NANOSECONDS:.3f} s around the image"
             )
         share = (stamp - before) / (after - before)
-        return _between(frame.poses[index - 1], frame.poses[index], share)
+        earlier, later = (
+            pose_from_quaternion(*pose)[None] for pose in frame.poses[index - 1 : index + 1]
+        )
+        return np.asarray(poses_between(earlier, later, np.array([share]))[0])
 
 
 def _pose_parts(position: Any, orientation: Any) -> tuple[FloatArray, FloatArray] | None:
@@ -220,20 +223,3 @@ def _pose_parts(position: Any, orientation: Any) -> tuple[FloatArray, FloatArray
     if not np.all(np.isfinite(place)) or not abs(length - 1.0) <= QUATERNION_TOLERANCE:
         return None
     return place, rotation / length
-
-
-def _between(
-    first: tuple[FloatArray, FloatArray], second: tuple[FloatArray, FloatArray], share: float
-) -> FloatArray:
-    """A straight line, and a rotation along the great circle."""
-    start, end = first[1], second[1]
-    cosine = float(start @ end)
-    if cosine < 0.0:
-        cosine, end = -cosine, -end
-    angle = math.acos(min(cosine, 1.0))
-    if angle < 1e-6:
-        rotation = start + share * (end - start)
-    else:
-        rotation = math.sin((1.0 - share) * angle) * start + math.sin(share * angle) * end
-    place = first[0] + share * (second[0] - first[0])
-    return pose_from_quaternion(place, rotation)
