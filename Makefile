@@ -28,6 +28,8 @@ DEMO_DOCK := out/demo-dock
 DOCK := -1.15,-1.65,90
 DEMO_ODOMETRY := odometry.txt
 SEED := 0
+# Distribution of ROS 2 for test-ros: jazzy or kilted.
+ROS := jazzy
 # One process a processor, which keeps to it (tests/conftest.py); files stay whole for what their tests share.
 TEST_WORKERS = -n $(shell nproc 2>/dev/null || getconf _NPROCESSORS_ONLN) --dist loadfile
 
@@ -40,7 +42,7 @@ help:
 	@echo "make demo-dock    docks a robot in the lobby whose camera images are path-traced -> $(DEMO_DOCK)/report/report.html"
 	@echo "make experiments  many seeds and settings -> out/experiments/*/table.md; makes only what is missing"
 	@echo "make test         the test suite; 'make test-slow' runs the slow tests"
-	@echo "make test-ros     the nodes with the real rclpy, from wheels, in .venv-jazzy"
+	@echo "make test-ros     the nodes with the real rclpy, from wheels, in .venv-jazzy; ROS=kilted"
 	@echo "make lint         ruff, mypy, clang-format and clang-tidy"
 	@echo "make wheel        a wheel for this machine -> dist/, tried in an empty environment"
 	@echo "make bench        measures particles, frames, views, starting, memory, the GPU"
@@ -124,7 +126,7 @@ test-lowest:
 
 # The nodes with the real rclpy, from wheels for tests; one suite at a time, for nodes hear each other.
 test-ros: $(STAMP)
-	.ci/test-ros $(VENV_PYTHON) .venv-jazzy
+	.ci/test-ros $(VENV_PYTHON) .venv-$(ROS) $(ROS)
 
 # The C++ core with the compiler's sanitizers, in the tests that reach it.
 test-sanitized: $(STAMP)

@@ -24,7 +24,7 @@ from pipelines.geometry.pose import quaternion_of
 
 rclpy = pytest.importorskip("rclpy", reason="no rclpy: make test-ros makes an environment with it")
 
-PATIENCE = 30.0
+PATIENCE = 60.0
 # Of the 101 domains that any machine can use; several suites may run on one.
 DOMAIN = str(1 + os.getpid() % 100)
 LOOPBACK = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": DOMAIN}
