@@ -14,7 +14,8 @@ import numpy as np
 
 from benchmarks.scenes import ELEVATORS
 from benchmarks.timing import Timing, markdown_table, medians
-from pipelines.dataset.dataset import ODOMETRY_FILE, Dataset, load_dataset, poses_at_images
+from pipelines.dataset.dataset import ODOMETRY_FILE, Dataset, load_dataset
+from pipelines.dataset.pairing import poses_at_images
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.localizer import Localizer
 from pipelines.localize.settings import LocalizerSettings

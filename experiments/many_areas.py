@@ -27,7 +27,8 @@ from tqdm import tqdm
 
 from pipelines.artifacts.arrays import BoolArray, FloatArray, ImageArray, IntArray
 from pipelines.artifacts.errors import InputError, LfnavError
-from pipelines.dataset.dataset import Dataset, load_dataset, poses_at_images
+from pipelines.dataset.dataset import Dataset, load_dataset
+from pipelines.dataset.pairing import poses_at_images
 from pipelines.geometry.camera import Intrinsics
 from pipelines.geometry.pose import inverse
 from pipelines.lightfield.area_file import AreaFile, read_area_file

@@ -133,6 +133,16 @@ quality_option = click.option(
 )
 
 
+max_gap_option = click.option(
+    "--max-gap",
+    type=float,
+    metavar="SECONDS",
+    default=0.2,
+    show_default=True,
+    help="An image's pose is interpolated between two poses that are at most so far apart.",
+)
+
+
 def make_progress(quiet: bool) -> "Progress":
     """Progress bars on stderr; none where stderr is no terminal or ``quiet`` is set."""
 

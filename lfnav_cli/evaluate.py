@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from lfnav_cli.common import common_options, json_option, print_summary
+from lfnav_cli.common import common_options, json_option, max_gap_option, print_summary
 
 if TYPE_CHECKING:
     from pipelines.artifacts.stages import Progress, Summary
@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     type=click.Choice(["unstructured", "delaunay"]),
     help="SCENE: how views are blended. Default: unstructured.",
 )
+@max_gap_option
 @json_option
 @common_options
 def command(
@@ -66,6 +67,7 @@ def command(
     interior: bool,
     quality: str | None,
     blending: str | None,
+    max_gap: float,
     as_json: bool,
     progress: "Progress",
 ) -> None:
@@ -92,7 +94,7 @@ def command(
         of_scene = (dataset, poses, leave_one_out or None, interior or None, quality, blending)
         if any(option is not None for option in of_scene):
             raise click.UsageError(f"{path} is no scene model; those options are for scenes")
-        print_summary(_evaluate_run(path, groundtruth, estimate), as_json)
+        print_summary(_evaluate_run(path, groundtruth, estimate, max_gap), as_json)
         return
     if groundtruth is not None or estimate is not None:
         raise click.UsageError("--groundtruth and --estimate are for runs")
@@ -103,14 +105,18 @@ def command(
     if interior and not leave_one_out:
         raise click.UsageError("--interior goes with --leave-one-out")
     rule = blending or "unstructured"
-    summary = _evaluate_scene(path, dataset, poses, quality, rule, progress, interior=interior)
+    summary = _evaluate_scene(
+        path, dataset, poses, quality, rule, progress, interior=interior, max_gap=max_gap
+    )
     print_summary(summary, as_json)
 
 
-def _evaluate_run(run: Path, groundtruth: Path | None, estimate: str | None) -> "Summary":
+def _evaluate_run(
+    run: Path, groundtruth: Path | None, estimate: str | None, max_gap: float
+) -> "Summary":
     from pipelines.localize.evaluation import evaluate_run_file
 
-    return evaluate_run_file(run, groundtruth, estimate)
+    return evaluate_run_file(run, groundtruth, estimate, max_gap)
 
 
 def _evaluate_scene(
@@ -122,9 +128,12 @@ def _evaluate_scene(
     progress: "Progress",
     *,
     interior: bool,
+    max_gap: float,
 ) -> "Summary":
     from pipelines.render.choices import Blending
     from pipelines.render.evaluation import evaluate_scene
 
     rule = Blending[blending.upper()]
-    return evaluate_scene(scene, dataset, poses, quality, rule, progress, interior=interior)
+    return evaluate_scene(
+        scene, dataset, poses, quality, rule, progress, interior=interior, max_gap=max_gap
+    )

@@ -84,13 +84,13 @@ def known_kinds() -> list[str]:
     "--scale",
     type=float,
     metavar="FACTOR",
-    help="colmap, nerfstudio: metres per unit; 1 says that the source is metric.",
+    help="colmap, nerfstudio, llff: metres per unit; 1 says that the source is metric.",
 )
 @click.option(
     "--upright",
     is_flag=True,
-    help="colmap, nerfstudio, 7scenes: rotate the world so that the cameras stand upright in it, "
-    "the first at its origin.",
+    help="colmap, nerfstudio, 7scenes, record3d, polycam: rotate the world so that the cameras "
+    "stand upright in it, the first at its origin.",
 )
 @click.option("--sequence", metavar="NN", help="kitti: which sequence, where SOURCE holds several.")
 @click.option(
@@ -105,7 +105,10 @@ def known_kinds() -> list[str]:
     help="kitti: height of the camera above the road; default 1.65.",
 )
 @click.option(
-    "--every", type=int, metavar="N", help="kitti, 7scenes, video: take every N-th image."
+    "--every",
+    type=int,
+    metavar="N",
+    help="kitti, 7scenes, euroc, record3d, video: take every N-th image.",
 )
 @click.option("--fps", type=float, metavar="RATE", help="video: most images per second.")
 @click.option("--max-frames", type=int, metavar="N", help="video: most images; default 1000.")
@@ -147,7 +150,8 @@ def command(
 ) -> None:
     """Makes a data set of SOURCE, a recording in another program's format.
 
-    Images are copied as they are. Where SOURCE has exact poses (grid, colmap, nerfstudio) the
+    Images are copied as they are. Where SOURCE has exact poses (grid, colmap, nerfstudio, record3d,
+    polycam, llff) the
     data set also holds a reconstruction, ready for 'lfnav model'. The next command is printed.
 
     \b

@@ -6,7 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from lfnav_cli.common import common_options, json_option, overwrite_option, print_summary
+from lfnav_cli.common import (
+    common_options,
+    json_option,
+    max_gap_option,
+    overwrite_option,
+    print_summary,
+)
 from lfnav_cli.setting_options import (
     SettingsCommand,
     config_options,
@@ -71,6 +77,7 @@ if TYPE_CHECKING:
     "areas are opened and closed within it. Default: 1000.",
 )
 @click.option("--seed", type=int, default=0, show_default=True, help="Random seed.")
+@max_gap_option
 @overwrite_option
 @json_option
 @common_options
@@ -89,6 +96,7 @@ def command(
     memory: float | None,
     seed: int,
     chosen: "Mapping[str, Any]",
+    max_gap: float,
     overwrite: bool,
     as_json: bool,
     progress: "Progress",
@@ -160,5 +168,6 @@ def command(
         reconstruction=reconstruction,
         overwrite=overwrite,
         memory=memory,
+        max_gap=max_gap,
     )
     print_summary(localize(request, progress), as_json)

@@ -5,7 +5,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from lfnav_cli.common import common_options, json_option, overwrite_option, print_summary
+from lfnav_cli.common import (
+    common_options,
+    json_option,
+    max_gap_option,
+    overwrite_option,
+    print_summary,
+)
 
 if TYPE_CHECKING:
     from pipelines.artifacts.stages import Progress
@@ -63,6 +69,7 @@ if TYPE_CHECKING:
     is_flag=True,
     help="sfm: the camera was carried by a robot on a floor; poses are kept on it. Needs odometry.",
 )
+@max_gap_option
 @overwrite_option
 @json_option
 @common_options
@@ -77,6 +84,7 @@ def command(
     max_features: int,
     max_size: int,
     planar: bool,
+    max_gap: float,
     overwrite: bool,
     as_json: bool,
     progress: "Progress",
@@ -104,6 +112,7 @@ def command(
         max_features=max_features,
         max_size=max_size,
         planar=planar,
+        max_gap=max_gap,
     )
     summary = reconstruct(dataset, output, settings, overwrite=overwrite, progress=progress)
     print_summary(summary, as_json)

@@ -6,7 +6,8 @@ import numpy as np
 
 from pipelines.artifacts.arrays import BoolArray
 from pipelines.artifacts.stages import no_progress
-from pipelines.dataset.dataset import PAIRING_TOLERANCE, Dataset, load_dataset
+from pipelines.dataset.dataset import Dataset, load_dataset
+from pipelines.geometry.interpolation import PAIRING_TOLERANCE
 from pipelines.geometry.plane import Plane
 from pipelines.lightfield.scene import PlaneEstimate, Scene
 from pipelines.lightfield.scene_file import identifier_of

@@ -140,11 +140,6 @@ def image_not_there(place: Place) -> Refusal:
     return Refusal(place.localize(), place.data / "rgb.txt", r"line 2: 'rgb/0001.jpg' is not there")
 
 
-def one_time_does_not_pair(place: Place) -> Refusal:
-    named = edit(place.data / "odometry.txt", r"^0\.500000 ", "0.700000 ")
-    return Refusal(place.localize(), named, r"no pose within 0.02 s of the image at time 0.5.*1 of")
-
-
 def no_time_pairs(place: Place) -> Refusal:
     named = place.data / "odometry.txt"
     lines = ["# times of another day", *(f"{1e6 + i} 0 0 0 0 0 0 1" for i in range(3))]
@@ -153,8 +148,10 @@ def no_time_pairs(place: Place) -> Refusal:
 
 
 def nan_in_odometry(place: Place) -> Refusal:
-    named = edit(place.data / "odometry.txt", r"^0\.500000 \S+", "0.500000 nan")
-    return Refusal(place.localize(), named, "line 3: .*not finite")
+    named = place.data / "odometry.txt"
+    text = re.sub(r"(?m)^(\d\S+) \S+", r"\1 nan", named.read_text(encoding="utf-8"))
+    named.write_text(text, encoding="utf-8")
+    return Refusal(place.localize(), named, r"holds no pose in \d+ lines")
 
 
 def quaternion_of_another_length(place: Place) -> Refusal:
@@ -464,7 +461,6 @@ CASES: tuple[Callable[[Place], Refusal], ...] = (
     text_called_jpg,
     another_size,
     image_not_there,
-    one_time_does_not_pair,
     no_time_pairs,
     nan_in_odometry,
     odometry_of_a_camera,
@@ -568,6 +564,26 @@ def test_suspicious_odometry_is_said_and_kept(place: Place) -> None:
     # What the robot really is, is not asked of a camera that moves freely.
     free = lfnav(*place.localize("--degrees-of-freedom", "6", "--json", "--overwrite"))
     assert not any("odometry.txt" in said for said in json.loads(free.out)["notes"])
+
+
+def test_images_without_odometry_are_left_out_and_said(place: Place) -> None:
+    # Odometry at 10 Hz, images between its poses, and it ends before the images.
+    count = len((place.data / "rgb.txt").read_text(encoding="utf-8").splitlines())
+    images = [f"{0.5 * i + 0.05} rgb/{i:04d}.jpg\n" for i in range(count)]
+    (place.data / "rgb.txt").write_text("".join(images), encoding="utf-8")
+    rows = [f"{0.1 * i:.1f} {0.01 * i} 0 0 0 0 0 1\n" for i in range(5 * (count - 1))]
+    (place.data / "odometry.txt").write_text("".join(rows), encoding="utf-8")
+    outcome = lfnav(*place.localize("--json"))
+    assert outcome.code == 0, outcome
+    (said,) = json.loads(outcome.out)["notes"]
+    assert said == (
+        f"1 of {count} images are left out: 1 before the first or after the last pose of "
+        "odometry.txt"
+    )
+    assert json.loads(outcome.out)["frames"] == count - 1
+    narrow = lfnav(*place.localize("--max-gap", "0.05", "--overwrite"))
+    assert narrow.code == 1
+    assert "no two that are at most 0.05 s apart lie around one" in narrow.err
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.__name__)

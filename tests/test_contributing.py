@@ -104,14 +104,12 @@ def test_a_motion_model(tree: Path) -> None:
 
 
 def test_an_importer(tree: Path) -> None:
-    folder = applied(tree, IMPORTER) / "flight" / "mav0" / "cam0"
-    (folder / "data").mkdir(parents=True)
-    shutil.copy(ELEVATORS / "test" / "rgb" / "0000.jpg", folder / "data" / "1500000000.jpg")
-    (folder / "data.csv").write_text("#timestamp [ns],filename\n1500000000,1500000000.jpg\n")
-    assert "euroc (mav0/)" in command(tree, "import", "flight", "-o", "place")
-    assert (tree / "place" / "rgb.txt").read_text().splitlines()[1:] == [
-        "1.500000000 rgb/1500000000.jpg"
-    ]
+    folder = applied(tree, IMPORTER) / "walk"
+    folder.mkdir()
+    shutil.copy(ELEVATORS / "test" / "rgb" / "0000.jpg", folder / "a.jpg")
+    (folder / "frames.csv").write_text("milliseconds,name\n1500,a.jpg\n")
+    assert "frames (frames.csv)" in command(tree, "import", "walk", "-o", "place")
+    assert (tree / "place" / "rgb.txt").read_text().splitlines()[1:] == ["1.500000000 rgb/a.jpg"]
 
 
 def test_a_robot(tree: Path, scene: Path) -> None:

@@ -8,6 +8,7 @@ what another library says of it through ``reason_of``.
 from pathlib import Path
 
 QUOTED_CHARACTERS, REASON_CHARACTERS, LONGEST_PATH = 80, 200, 4096
+LONGEST_MESSAGE = 2 * LONGEST_PATH
 
 
 def quoted(text: object) -> str:
@@ -59,8 +60,16 @@ def _escape(character: str) -> str:
 class LfnavError(Exception):
     """Something that the caller can mend: bad input, a failed stage, an unwritable place.
 
-    The message is one line that says what is wrong, in which file, and what to do.
+    The message is one line that says what is wrong, in which file, and what to do. Whatever it
+    quotes, it holds no control characters, and it ends.
     """
+
+    def __init__(self, message: object = "") -> None:
+        text = str(message)
+        if len(text) > LONGEST_MESSAGE:
+            text = f"{text[:LONGEST_MESSAGE]}..."
+        shown = [c if c.isprintable() or c.isspace() else _escape(c) for c in text]
+        super().__init__("".join(shown))
 
 
 class InputError(LfnavError):

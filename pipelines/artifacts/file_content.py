@@ -1,5 +1,6 @@
 """The content of files that are not trusted, with a limit to what is read."""
 
+import codecs
 from pathlib import Path
 
 from pipelines.artifacts.errors import InputError
@@ -34,12 +35,23 @@ def read_file(path: Path, limit: int) -> bytes:
 
 
 def read_text_file(path: Path, limit: int) -> str:
-    """The content of a UTF-8 text file of at most ``limit`` bytes.
+    """The content of a text file of at most ``limit`` bytes: UTF-8, or what its mark says.
 
     Raises:
-        InputError: missing, no regular file, too large, unreadable, or not UTF-8.
+        InputError: missing, no regular file, too large, unreadable, or no text.
     """
+    return decoded_text(read_file(path, limit), path)
+
+
+def decoded_text(data: bytes, path: Path) -> str:
+    """Bytes of a file as text; a byte order mark is skipped, and says UTF-16 where it is one.
+
+    Raises:
+        InputError: no text in this encoding.
+    """
+    is_wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    name = "UTF-16" if is_wide else "UTF-8"
     try:
-        return read_file(path, limit).decode("utf-8-sig")
+        return data.decode("utf-16" if is_wide else "utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(path, f"is no text in UTF-8 (byte {error.start})") from error
+        raise InputError(path, f"is no text in {name} (byte {error.start})") from error

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from pipelines.artifacts.errors import InputError, quoted, reason_of
-from pipelines.artifacts.file_content import read_file
+from pipelines.artifacts.file_content import read_text_file
 
 Value = TypeVar("Value")
 
@@ -57,9 +57,9 @@ def read_json_object(path: Path, limit: int) -> JsonFields:
     def refuse_constant(name: str) -> object:
         raise ValueError(f"{name} is no JSON number")
 
-    data = read_file(path, limit)
+    text = read_text_file(path, limit)
     try:
-        value = json.loads(data.decode("utf-8"), parse_constant=refuse_constant)
+        value = json.loads(text, parse_constant=refuse_constant)
     except (ValueError, RecursionError) as error:
         raise InputError(path, f"is not valid JSON ({reason_of(error)})") from error
     return JsonFields(path, value)

@@ -7,21 +7,20 @@ images it names, and optionally ``camera.toml``, ``odometry.txt``, ``groundtruth
 """
 
 import logging
-import math
 import os
 import re
 import stat
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
-from pathlib import Path, PurePosixPath
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
 from pipelines.artifacts.arguments import PathLike, checked_index, checked_path
 from pipelines.artifacts.arrays import FloatArray, ImageArray
-from pipelines.artifacts.errors import InputError, quoted, reason_of
-from pipelines.artifacts.file_content import is_file, read_text_file
+from pipelines.artifacts.errors import InputError, reason_of
 from pipelines.dataset.camera_file import CameraFile, read_camera_file
+from pipelines.dataset.image_list import read_image_list
 from pipelines.dataset.images import (
     IMAGE_SUFFIXES,
     decode_image,
@@ -31,14 +30,11 @@ from pipelines.dataset.images import (
 from pipelines.dataset.left_out import BELOW, OTHER, VIDEO_SUFFIXES, files_left_out, left_out_text
 from pipelines.dataset.mask import MASK_FILE, Mask, read_mask
 from pipelines.geometry.camera import Camera
+from pipelines.geometry.interpolation import PAIRING_TOLERANCE
 from pipelines.geometry.trajectory import Trajectory, read_tum
 
 IMAGE_LIST, DEPTH_LIST, CAMERA_FILE = "rgb.txt", "depth.txt", "camera.toml"
 ODOMETRY_FILE, GROUNDTRUTH_FILE = "odometry.txt", "groundtruth.txt"
-MAX_LIST_BYTES = 64 * 1024**2
-# Half a frame at 25 Hz: what images and poses of the same moment may differ by, in seconds.
-PAIRING_TOLERANCE = 0.02
-
 # What is read from a plain folder besides its images.
 _KNOWN_FILES = (CAMERA_FILE, MASK_FILE)
 
@@ -58,12 +54,14 @@ class Dataset:
         odometry: world_from_body in a frame of its own, integrated and drifting; None where there
             is none.
         groundtruth: world_from_body in the world of the map; for evaluation, never for estimation;
-            None where there is none.
+            None where there is none, or none that can be read.
         depth_names: for each image its depth image relative to ``root``, or None; None where the
             data set has no depth images at all.
         depth_scale: value in a depth image / depth_scale = metres; None where nothing says.
         mask: of what the camera always sees; None where there is none.
         left_out: what else lies in a plain folder of images: reason -> number of files.
+        groundtruth_problem: why the ground truth that is there is not read: only what needs it
+            fails.
     """
 
     root: Path
@@ -77,6 +75,7 @@ class Dataset:
     depth_scale: float | None
     mask: Mask | None = None
     left_out: Mapping[str, int] = field(default_factory=dict)
+    groundtruth_problem: InputError | None = None
 
     def __len__(self) -> int:
         return len(self.image_names)
@@ -85,6 +84,37 @@ class Dataset:
     def body_from_camera(self) -> FloatArray:
         """``(4, 4)``: the mount; the identity where the body is the camera."""
         return np.eye(4) if self.base_from_camera is None else self.base_from_camera
+
+    def part(self, indices: Iterable[int]) -> "Dataset":
+        """The data set with some of its images.
+
+        Args:
+            indices: of the images, from 0, increasing.
+        """
+        chosen = list(indices)
+        depth = self.depth_names
+        return replace(
+            self,
+            image_names=tuple(self.image_names[index] for index in chosen),
+            timestamps=self.timestamps[chosen],
+            depth_names=None if depth is None else tuple(depth[index] for index in chosen),
+        )
+
+    def true_poses(self, reason: str = "is missing", remedy: str = "") -> Trajectory:
+        """The ground truth, for whatever cannot do without.
+
+        Args:
+            reason: what is said where there is none.
+            remedy: what to do about it.
+
+        Raises:
+            InputError: there is none, or it cannot be read.
+        """
+        if self.groundtruth_problem is not None:
+            raise self.groundtruth_problem
+        if self.groundtruth is None:
+            raise InputError(self.root / GROUNDTRUTH_FILE, reason, remedy)
+        return self.groundtruth
 
     def image_path(self, index: int) -> Path:
         """The file of an image.
@@ -137,6 +167,7 @@ def load_dataset(
     odometry: PathLike | None = None,
     groundtruth: PathLike | None = None,
     mask: PathLike | None = None,
+    reads_odometry: bool = True,
 ) -> Dataset:
     """Reads and checks a data set in the layout of the TUM RGB-D benchmark (Sturm et al. 2012).
 
@@ -147,9 +178,11 @@ def load_dataset(
         odometry: a TUM file to use instead of the folder's ``odometry.txt``.
         groundtruth: a TUM file to use instead of the folder's ``groundtruth.txt``.
         mask: a mask to use instead of the folder's ``mask.png``.
+        reads_odometry: whether there is a use for odometry; False: it is not looked at.
 
     Raises:
         InputError: something is missing, damaged or contradictory; names the file and the reason.
+            Damaged ground truth in the folder is ``Dataset.groundtruth_problem`` instead.
         OptionError: a path is none.
     """
     root = checked_path(root, "the data set's path")
@@ -160,7 +193,7 @@ def load_dataset(
     _check_folder(root)
     left_out: dict[str, int] = {}
     if (root / IMAGE_LIST).is_file():
-        timestamps, names = _read_list(root, IMAGE_LIST)
+        timestamps, names = read_image_list(root, IMAGE_LIST)
     else:
         _check_plain(root)
         names = _plain_images(root)
@@ -169,56 +202,25 @@ def load_dataset(
     camera_path = root / CAMERA_FILE
     camera_file = read_camera_file(camera_path) if camera_path.is_file() else None
     size = _checked_size(root, names, camera_file)
+    truth, problem = _read_truth(groundtruth, root / GROUNDTRUTH_FILE)
     dataset = Dataset(
         root=root,
         image_names=names,
         timestamps=timestamps,
         camera=camera_file.camera if camera_file else None,
         base_from_camera=camera_file.base_from_camera if camera_file else None,
-        odometry=_read_trajectory(odometry, root / ODOMETRY_FILE),
-        groundtruth=_read_trajectory(groundtruth, root / GROUNDTRUTH_FILE),
+        odometry=_read_trajectory(odometry, root / ODOMETRY_FILE) if reads_odometry else None,
+        groundtruth=truth,
         depth_names=_depth_names(root, timestamps),
         depth_scale=camera_file.depth_scale if camera_file else None,
         mask=_read_mask(
             root, mask, size, f"{CAMERA_FILE} says" if camera_file else f"{names[0]} is"
         ),
         left_out=left_out,
+        groundtruth_problem=problem,
     )
     _log.info("%s: %d images", root, len(dataset))
     return dataset
-
-
-def poses_at_images(
-    dataset: Dataset,
-    trajectory: Trajectory,
-    source: Path | str,
-    tolerance: float = PAIRING_TOLERANCE,
-) -> FloatArray:
-    """The pose of a trajectory that is nearest in time to each image.
-
-    Args:
-        dataset: the images.
-        trajectory: the poses, at any rate.
-        source: the trajectory's file, for the error.
-        tolerance: seconds between an image and its pose at most.
-
-    Returns:
-        ``(N, 4, 4)``, one pose an image.
-
-    Raises:
-        InputError: an image has no pose; the first such time is named.
-    """
-    indices = trajectory.nearest(dataset.timestamps, tolerance)
-    if np.any(indices < 0):
-        first = dataset.timestamps[int(np.argmax(indices < 0))]
-        missing = int(np.count_nonzero(indices < 0))
-        raise InputError(
-            source,
-            f"has no pose within {tolerance:g} s of the image at time {first:.6f} "
-            f"({missing} of {len(dataset)} images are without)",
-            f"its times run from {trajectory.timestamps[0]:.6f} to {trajectory.timestamps[-1]:.6f}",
-        )
-    return np.asarray(trajectory.poses[indices], dtype=np.float64)
 
 
 def _check_folder(root: Path) -> None:
@@ -239,55 +241,6 @@ def _check_folder(root: Path) -> None:
             f"extract its frames first: lfnav import {root.name} -o frames",
         )
     raise InputError(root, "is a file, not a folder", "a data set is a folder of images")
-
-
-def _read_list(root: Path, list_name: str) -> tuple[FloatArray, tuple[str, ...]]:
-    """Reads ``rgb.txt`` or ``depth.txt``: timestamps ``(N,)`` and names of files that exist."""
-    path = root / list_name
-    lines = read_text_file(path, MAX_LIST_BYTES).splitlines()
-    entries: dict[str, float] = {}
-    last = -math.inf
-    for number, line in enumerate(lines, start=1):
-        content = line.strip()
-        if not content or content.startswith("#"):
-            continue
-        try:
-            time, name = _parse_entry(content)
-        except ValueError as error:
-            raise InputError(path, f"line {number}: {error}") from error
-        if time <= last:
-            raise InputError(
-                path,
-                f"line {number}: time {time:.6f} does not come after {last:.6f}",
-                "sort the images by time and keep one for each",
-            )
-        if name in entries:
-            raise InputError(path, f"line {number}: {quoted(name)} is named a second time")
-        if not is_file(root / name):
-            raise InputError(path, f"line {number}: {quoted(name)} is not there")
-        entries[name] = last = time
-    if not entries:
-        raise InputError(path, "names no image")
-    return np.array(list(entries.values()), dtype=np.float64), tuple(entries)
-
-
-def _parse_entry(content: str) -> tuple[float, str]:
-    """Timestamp and normalised file name; ValueError says what is wrong with them."""
-    parts = content.split(maxsplit=1)
-    if len(parts) != 2:
-        raise ValueError("not of the form: timestamp filename")
-    try:
-        time = float(parts[0])
-    except ValueError:
-        raise ValueError(f"{quoted(parts[0])} is not a timestamp") from None
-    if not math.isfinite(time):
-        raise ValueError(f"the timestamp {time} is not finite")
-    name = PurePosixPath(parts[1])
-    if not parts[1].isprintable():
-        raise ValueError(f"{quoted(parts[1])} is not a file name")
-    if name.is_absolute() or ".." in name.parts:
-        raise ValueError(f"{quoted(parts[1])} leads out of the data set's folder")
-    return time, str(name)
 
 
 def _check_plain(root: Path) -> None:
@@ -419,6 +372,17 @@ def _read_trajectory(given: Path | None, default: Path) -> Trajectory | None:
     return read_tum(default) if default.is_file() else None
 
 
+def _read_truth(given: Path | None, default: Path) -> tuple[Trajectory | None, InputError | None]:
+    """The ground truth, or why there is none; whoever names a file wants to know at once."""
+    if given is not None:
+        return read_tum(given), None
+    try:
+        return _read_trajectory(None, default), None
+    except InputError as error:
+        _log.warning("%s; there is no ground truth", error)
+        return None, error
+
+
 def _read_mask(root: Path, given: Path | None, size: tuple[int, int], whose: str) -> Mask | None:
     path = root / MASK_FILE if given is None else given
     # A link that leads nowhere is not the same as no mask.
@@ -431,7 +395,7 @@ def _depth_names(root: Path, timestamps: FloatArray) -> tuple[str | None, ...] |
     """The depth image nearest in time to each image, where one is near enough."""
     if not (root / DEPTH_LIST).is_file():
         return None
-    times, names = _read_list(root, DEPTH_LIST)
+    times, names = read_image_list(root, DEPTH_LIST)
     timed = Trajectory(times, np.broadcast_to(np.eye(4), (len(times), 4, 4)))
     nearest = timed.nearest(timestamps, PAIRING_TOLERANCE)
     return tuple(names[index] if index >= 0 else None for index in nearest)

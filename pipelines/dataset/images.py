@@ -145,10 +145,14 @@ def decode_image(data: bytes, name: Path | str) -> ImageArray:
     colours = _colour_16_bit(data, image.size) if bits == 16 else None
     if colours is not None:
         return _in_8_bits(colours)
-    if image.mode == "P":
-        image = image.convert("RGBA")
-    # Pillow would convert what is RGB already into a copy.
-    return np.array(image if image.mode == "RGB" else image.convert("RGB"), dtype=np.uint8)
+    try:
+        if image.mode == "P":
+            image = image.convert("RGBA")
+        # Pillow would convert what is RGB already into a copy.
+        return np.array(image if image.mode == "RGB" else image.convert("RGB"), dtype=np.uint8)
+    except Exception as error:  # a pixel beyond the palette, for one: whatever Pillow raises
+        reason = f"is a damaged or truncated image ({reason_of(error)})"
+        raise InputError(name, reason) from error
 
 
 def decode_depth(data: bytes, name: Path | str) -> NDArray[np.uint16]:

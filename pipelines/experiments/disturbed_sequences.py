@@ -29,11 +29,11 @@ from pipelines.dataset.dataset import (
     IMAGE_LIST,
     Dataset,
     load_dataset,
-    poses_at_images,
 )
 from pipelines.dataset.images import encode_png
 from pipelines.dataset.importers.placing import format_list
 from pipelines.dataset.mask import MASK_FILE
+from pipelines.dataset.pairing import poses_at_images
 from pipelines.geometry.pose import inverse
 from pipelines.geometry.trajectory import Trajectory, format_tum, read_tum
 
@@ -186,14 +186,11 @@ def write_sequences(
             cannot be written.
     """
     dataset = load_dataset(sequence)
-    if dataset.groundtruth is None:
-        raise InputError(
-            sequence / GROUNDTRUTH_FILE, "is missing: errors cannot be measured without it"
-        )
+    truth = dataset.true_poses("is missing: errors cannot be measured without it")
     if len(dataset) < disturbed.fewest_frames:
         reason = f"has {len(dataset)} frames, fewer than {disturbed.fewest_frames}"
         raise InputError(sequence, reason, "give a longer sequence")
-    truth = poses_at_images(dataset, dataset.groundtruth, sequence / GROUNDTRUTH_FILE)
+    true_poses = poses_at_images(dataset, truth, sequence / GROUNDTRUTH_FILE)
     odometry = {
         path.name: poses_at_images(dataset, read_tum(path), path)
         for path in sorted(sequence.glob(ODOMETRY_FILES))
@@ -201,7 +198,7 @@ def write_sequences(
     kinds = disturbed.of(len(dataset))
     with atomic_folder(output, overwrite, disturbed.record) as folder:
         for kind in progress(kinds, "sequences", len(kinds)):
-            _write(folder / kind.name, dataset, kind, truth, odometry)
+            _write(folder / kind.name, dataset, kind, true_poses, odometry)
         # The key is that of files which older versions wrote.
         record = {"source": sequence.name, "drives": {kind.name: kind.meaning for kind in kinds}}
         (folder / disturbed.record).write_text(

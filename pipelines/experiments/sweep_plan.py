@@ -6,17 +6,17 @@ from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
-from pipelines.artifacts.errors import InputError
 from pipelines.artifacts.provenance import sha256_of_bytes, version_of
 from pipelines.artifacts.stages import Progress
-from pipelines.dataset.dataset import GROUNDTRUTH_FILE, ODOMETRY_FILE, Dataset, load_dataset
+from pipelines.dataset.dataset import ODOMETRY_FILE, Dataset, load_dataset
 from pipelines.experiments.sweep_config import SweepConfig, SweepDataset
 from pipelines.experiments.sweep_inputs import dataset_hash, odometry_hash, scene_hash
 from pipelines.experiments.sweep_run import Setup, SweepRun
 from pipelines.lightfield.scene_file import load_scene
 from pipelines.localize.likelihood import LIKELIHOODS, Likelihood
+from pipelines.localize.odometry import images_with_odometry
 from pipelines.localize.settings import LocalizerSettings
-from pipelines.localize.stage import NO_ODOMETRY, check_odometry
+from pipelines.localize.stage import NO_ODOMETRY
 from pipelines.render.devices import resolved_device
 
 # Increase this when stored results are no longer what would be computed.
@@ -41,7 +41,7 @@ def planned_runs(config: SweepConfig, progress: Progress) -> tuple[SweepRun, ...
         for odometry in dataset.odometry:
             loaded = _checked_dataset(dataset, odometry)
             for settings in config.settings:
-                check_odometry(loaded, settings, odometry or dataset.path / ODOMETRY_FILE)
+                images_with_odometry(loaded, settings, odometry or dataset.path / ODOMETRY_FILE)
             if "dataset" not in hashes:
                 hashes["dataset"] = dataset_hash(loaded)
             inputs = dict(hashes)
@@ -57,13 +57,11 @@ def _checked_dataset(dataset: SweepDataset, odometry: Path | None) -> Dataset:
     Raises:
         InputError: it cannot be used, or has no ground truth.
     """
-    loaded = load_dataset(dataset.path, odometry=None if odometry == NO_ODOMETRY else odometry)
-    if odometry == NO_ODOMETRY:
-        loaded = replace(loaded, odometry=None)
-    if loaded.groundtruth is None:
-        raise InputError(
-            dataset.path / GROUNDTRUTH_FILE, "is missing: a sweep measures errors against it"
-        )
+    is_without = odometry == NO_ODOMETRY
+    loaded = load_dataset(
+        dataset.path, odometry=None if is_without else odometry, reads_odometry=not is_without
+    )
+    loaded.true_poses("is missing: a sweep measures errors against it")
     return loaded
 
 

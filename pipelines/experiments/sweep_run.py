@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from pipelines.artifacts.errors import LfnavError
@@ -142,9 +142,9 @@ class RunExecutor:
         """The run's data set with its odometry, loaded once."""
         place = (run.dataset, run.odometry, run.inputs["dataset"], run.inputs.get("odometry"))
         if place not in self._datasets:
-            loaded = load_dataset(run.dataset, odometry=run.odometry)
-            if not run.uses_odometry:
-                loaded = replace(loaded, odometry=None)
+            loaded = load_dataset(
+                run.dataset, odometry=run.odometry, reads_odometry=run.uses_odometry
+            )
             check_unchanged(run.dataset, dataset_hash(loaded), run.inputs["dataset"])
             if loaded.odometry is not None:
                 found = odometry_hash(run.dataset, run.odometry)

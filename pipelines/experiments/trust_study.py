@@ -15,12 +15,12 @@ from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.dataset.dataset import (
     GROUNDTRUTH_FILE,
     ODOMETRY_FILE,
-    PAIRING_TOLERANCE,
     Dataset,
     load_dataset,
 )
 from pipelines.experiments.sweep_result import judged
 from pipelines.experiments.trust_conditions import Condition
+from pipelines.geometry.interpolation import poses_at_times
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_scene
 from pipelines.localize.run import Run
@@ -150,9 +150,11 @@ def row_of(task: Task) -> Row:
     condition = task.condition
     scene = load_scene(condition.scene)
     is_without = task.odometry == NO_ODOMETRY
-    dataset = load_dataset(condition.dataset, odometry=None if is_without else task.odometry)
-    if is_without:
-        dataset = replace(dataset, odometry=None)
+    dataset = load_dataset(
+        condition.dataset,
+        odometry=None if is_without else task.odometry,
+        reads_odometry=not is_without,
+    )
     source = condition.dataset / ODOMETRY_FILE if task.odometry is None else task.odometry
     successes, parts = 0, []
     for run in _runs(scene, dataset, task.settings, task, source):
@@ -192,14 +194,14 @@ def disturbed_starts(
     if dataset.groundtruth is None:
         return
     space = settings.state_space
-    nearest = dataset.groundtruth.nearest(dataset.timestamps, PAIRING_TOLERANCE)
+    found = poses_at_times(dataset.groundtruth, dataset.timestamps)
     sigmas = np.array(
         [settings.start_position_sigma] * space.positions
         + [settings.start_heading_sigma] * space.angles
     )
     for seed in seeds:
-        for frame in np.flatnonzero(nearest >= 0):
-            truth = space.states(dataset.groundtruth.poses[nearest[[frame]]])
+        for frame in np.flatnonzero(found.is_known):
+            truth = space.states(found.poses[[frame]])
             rng = np.random.default_rng([seed, int(frame)])
             noise = sigmas * rng.standard_normal((starts, space.dimension))
             for number, start in enumerate(space.moved(np.repeat(truth, starts, axis=0), noise)):

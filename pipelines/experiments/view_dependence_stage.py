@@ -22,7 +22,7 @@ from pipelines.geometry.plane import Plane
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_scene
 from pipelines.lightfield.views import Views, views_of_scene
-from pipelines.render.held_out import HeldOut, photos_of_dataset, views_one_by_one
+from pipelines.render.held_out import HeldOut, photos_of_dataset, posed_photos, views_one_by_one
 
 TABLE, FIGURE = "table.md", "view-dependence.png"
 
@@ -61,12 +61,12 @@ def study_view_dependence(
         raise StageError(f"{scene_path} has no depth maps; make it with --geometry depth")
     if scene.surface is None:
         raise StageError(f"{scene_path} has no plane to compare with; make it with --plane a,b,c,d")
-    frames = load_dataset(dataset)
+    frames, camera_poses = posed_photos(load_dataset(dataset), None)
     with atomic_folder(output, overwrite, TABLE) as folder:
         views = views_of_scene(scene, progress=progress)
         true_views = with_true_depth(views, scene.world_from_camera, parts)
         sets: dict[str, tuple[Photos, int]] = {
-            dataset.name: (lambda of: photos_of_dataset(frames, None, of), len(frames)),
+            dataset.name: (lambda of: photos_of_dataset(frames, camera_poses, of), len(frames)),
             "left out": (lambda of: _left_out(scene, of), len(scene)),
         }
         results = tuple(

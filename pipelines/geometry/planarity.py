@@ -51,6 +51,8 @@ TELLING_ROTATIONS = 0.004
 NO_PITCH = math.radians(60.0)
 # A robot rarely moves along its own z; a camera that looks ahead nearly always does.
 CAMERA_FORWARD_SHARE, SURE_FORWARD_SHARE = 0.7, 0.9
+# Metres a second that no robot drives, but one whose millimetres are taken for metres.
+FASTEST = 30.0
 _NEAR_AXIS = math.cos(math.radians(45.0))
 _Z = np.array([0.0, 0.0, 1.0])
 
@@ -277,6 +279,17 @@ def check_quaternion_order(poses: FloatArray, source: Path | str) -> None:
     found = planarity_of(poses)
     if found.is_contradiction and cause_of(poses) is Cause.W_FIRST:
         raise _w_first_error(found, source)
+
+
+def note_on_speed(timestamps: FloatArray, positions: FloatArray) -> str | None:
+    """Whether positions ``(N, 3)`` at times ``(N,)`` (seconds) look like millimetres, in words."""
+    if len(timestamps) < 2:
+        return None
+    steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    speed = float(np.sum(steps) / (timestamps[-1] - timestamps[0]))
+    if speed < FASTEST:
+        return None
+    return f"moves by {speed:.0f} m a second: are these millimetres? lfnav reads metres"
 
 
 def _w_first_error(found: Planarity, source: Path | str) -> InputError:

@@ -36,16 +36,16 @@ class SceneSummary:
     def table(self) -> list[tuple[str, ...]]:
         """Rows for people."""
         facts = self.to_dict()
-        plane, bounds = facts["plane"], facts["bounds_m"]
+        plane, bounds, unit = facts["plane"], facts["bounds_m"], self.scene.unit
         return [
             ("scene", str(self.path)),
             ("views", _views_text(facts)),
             ("cameras", cameras_text(self.scene.cameras)),
-            ("depth maps", _depth_text(facts["depth"])),
+            ("depth maps", _depth_text(facts["depth"], unit)),
             ("storage", _storage_text(facts)),
-            *_plane_rows(plane),
-            ("area", "x {:.2f} to {:.2f} m, y {:.2f} to {:.2f} m".format(*bounds)),
-            *_ground_rows(facts["free_ground_m2"]),
+            *_plane_rows(plane, unit),
+            ("area", "x {:.2f} to {:.2f} {u}, y {:.2f} to {:.2f} {u}".format(*bounds, u=unit)),
+            *_ground_rows(facts["free_ground_m2"], unit),
             ("viewing directions", "{:.0f} to {:.0f} deg".format(*facts["headings_deg"])),
             ("scale from", facts["scale_source"]),
             ("robot mount", "yes" if facts["has_mount"] else "no"),
@@ -115,15 +115,15 @@ def _plane_facts(surface: PlaneEstimate) -> dict[str, Any]:
     }
 
 
-def _plane_rows(plane: dict[str, Any] | None) -> list[tuple[str, str]]:
+def _plane_rows(plane: dict[str, Any] | None, unit: str) -> list[tuple[str, str]]:
     if plane is None:
         return [("plane", "none: depth maps alone show the surface")]
     equation = "{:.4f} x + {:.4f} y + {:.4f} z + {:.4f} = 0".format(*plane["coefficients"])
-    return [("plane", equation), ("plane from", _origin(plane))]
+    return [("plane", equation), ("plane from", _origin(plane, unit))]
 
 
-def _ground_rows(square_metres: float | None) -> list[tuple[str, str]]:
-    return [] if square_metres is None else [("free ground", f"{square_metres:.1f} m\u00b2 of it")]
+def _ground_rows(area: float | None, unit: str) -> list[tuple[str, str]]:
+    return [] if area is None else [("free ground", f"{area:.1f} {unit}\u00b2 of it")]
 
 
 def _storage_facts(scene: Scene) -> dict[str, Any]:
@@ -171,22 +171,24 @@ def _depth_facts(scene: Scene) -> dict[str, Any] | None:
     }
 
 
-def _depth_text(facts: dict[str, Any] | None) -> str:
+def _depth_text(facts: dict[str, Any] | None, unit: str) -> str:
     if facts is None:
         return "none"
     return (
         f"{facts['width']}x{facts['height']}, {facts['known_share']:.0%} of the pixels known, "
-        f"{facts['confident_share']:.0%} confident, median {facts['median_m']:.2f} m"
+        f"{facts['confident_share']:.0%} confident, median {facts['median_m']:.2f} {unit}"
     )
 
 
-def _origin(plane: dict[str, Any]) -> str:
+def _origin(plane: dict[str, Any], unit: str) -> str:
     if plane["method"] == "given":
         return "given"
     if plane["offset_sigma_m"] is None or plane["angle_sigma_deg"] is None:
         certainty = "uncertainty unknown"
     else:
-        certainty = f"+-{plane['offset_sigma_m'] * 100:.1f} cm, {plane['angle_sigma_deg']:.2f} deg"
+        sigma = plane["offset_sigma_m"]
+        offset = f"{sigma * 100:.1f} cm" if unit == "m" else f"{sigma:.2g} {unit}"
+        certainty = f"+-{offset}, {plane['angle_sigma_deg']:.2f} deg"
     if plane["method"] == "points":
         return f"sparse points ({plane['quality']:.0%} of them on it, {certainty})"
     return f"the photos (correlation {plane['quality']:.2f}, {certainty})"

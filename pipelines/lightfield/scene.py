@@ -114,6 +114,11 @@ class Scene:
     ground: FreeGround | None = None
     compaction: Compaction | None = None
 
+    @property
+    def unit(self) -> str:
+        """The unit of lengths: "m", or "units" where nothing says how many metres one is."""
+        return "units" if self.scale_source == "arbitrary" else "m"
+
     def __len__(self) -> int:
         return len(self.image_names)
 

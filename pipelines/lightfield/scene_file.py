@@ -52,6 +52,7 @@ SCHEMA_VERSION = 2
 # Inverse depth is stored in at most so many levels.
 FULL_LEVELS, COMPACT_LEVELS = 65535, 1023
 MAX_IMAGE_BYTES = 256 * 1024 * 1024
+SMALLEST_SIDE = 1e-6  # of the bounds, metres or units
 # What JSON of another structure than expected leads to.
 _MALFORMED = (KeyError, TypeError, ValueError, AttributeError, OverflowError, OptionError)
 
@@ -405,8 +406,7 @@ def _check(path: Path, scene: Scene) -> None:
     for pose in poses:
         if not np.all(are_rigid(pose)):
             raise InputError(path, "holds a pose that is no rigid transform")
-    low_x, high_x, low_y, high_y = scene.bounds
-    if not np.all(np.isfinite(scene.bounds)) or low_x >= high_x or low_y >= high_y:
+    if not all(SMALLEST_SIDE <= side < np.inf for side in np.diff(scene.bounds)[::2]):
         raise InputError(path, "has bounds that enclose no area")
     header_of = image_header
     if scene.compaction is not None:

@@ -11,6 +11,9 @@ from pipelines.artifacts.arrays import FloatArray
 from pipelines.localize.run import STATUSES, Run, load_run
 from pipelines.localize.state_space import StateSpace
 
+# Key of a run's provenance; not there: metres.
+UNIT_OF_LENGTH = "unit_of_length"
+
 
 @dataclass(frozen=True)
 class RunSummary:
@@ -90,7 +93,12 @@ class RunSummary:
         state = self.run.frames[-1].estimates.get(name)
         if state is None:
             return f"none ({self.run.frames[-1].status})"
-        return f"{name}: {_state_text(self.run.space, state)}"
+        return f"{name}: {_state_text(self.run.space, state, unit_of(self.run))}"
+
+
+def unit_of(run: Run) -> str:
+    """The unit of a run's lengths, the scene's: "m", or "units" where nobody knows its scale."""
+    return "units" if run.provenance.get(UNIT_OF_LENGTH) == "units" else "m"
 
 
 def notes_of(run: Run) -> tuple[str, ...]:
@@ -101,8 +109,8 @@ def notes_of(run: Run) -> tuple[str, ...]:
     return tuple(" ".join(str(note).split()) for note in notes)
 
 
-def _state_text(space: StateSpace, state: FloatArray) -> str:
-    lengths = [f"{axis} {value:.3f} m" for axis, value in zip("xyz", state, strict=False)]
+def _state_text(space: StateSpace, state: FloatArray, unit: str) -> str:
+    lengths = [f"{axis} {value:.3f} {unit}" for axis, value in zip("xyz", state, strict=False)]
     angles = ", ".join(f"{value:.1f}" for value in np.degrees(state[space.positions :]))
     name = "heading" if space.angles == 1 else "rotation vector"
     return f"{', '.join(lengths[: space.positions])}, {name} {angles} deg"

@@ -16,7 +16,7 @@ import numpy as np
 from pipelines.artifacts.arguments import checked_instance
 from pipelines.artifacts.arrays import BoolArray, FloatArray
 from pipelines.artifacts.errors import InputError, OptionError, quoted
-from pipelines.dataset.dataset import PAIRING_TOLERANCE
+from pipelines.geometry.interpolation import MAX_GAP
 from pipelines.geometry.trajectory import Trajectory, read_tum
 from pipelines.localize.area_evaluation import AreaEvaluation, evaluate_areas
 from pipelines.localize.consistency import (
@@ -25,8 +25,10 @@ from pipelines.localize.consistency import (
     frames_to_recover,
     frames_until_converged,
 )
+from pipelines.localize.description import unit_of
 from pipelines.localize.run import PNP_ESTIMATE, STAND_INS, Run, load_run
 from pipelines.localize.state_space import StateSpace, known_states, state_errors
+from pipelines.localize.true_states import true_states
 from pipelines.localize.trust import Trust, trust_of
 
 LAST_FRAMES = 5
@@ -109,11 +111,14 @@ class TrackEvaluation:
             "success": self.success,
         }
 
-    def rows(self, label: str) -> list[tuple[str, ...]]:
+    def rows(self, label: str, unit: str = "m") -> list[tuple[str, ...]]:
         """Two rows for a table with the columns of the statistics."""
         position, heading = self.position_error_m, self.heading_error_deg
         return [
-            (f"{label}: position (m)", *(f"{getattr(position, name):.3f}" for name in _COLUMNS)),
+            (
+                f"{label}: position ({unit})",
+                *(f"{getattr(position, name):.3f}" for name in _COLUMNS),
+            ),
             (f"{label}: heading (deg)", *(f"{getattr(heading, name):.2f}" for name in _COLUMNS)),
         ]
 
@@ -176,6 +181,7 @@ class RunEvaluation:
         seconds_per_frame: mean wall time, all stages together, without PnP where that only ran
             beside the filter.
         areas: the belief over areas compared with the truth; None: the run was made with one scene.
+        unit: of lengths, that of the scene.
     """
 
     estimate: str
@@ -193,6 +199,7 @@ class RunEvaluation:
     particles: int
     seconds_per_frame: float
     areas: AreaEvaluation | None = None
+    unit: str = "m"
 
     @property
     def success(self) -> bool:
@@ -212,11 +219,11 @@ class RunEvaluation:
         frames = str(self.frames)
         if self.frames_without_groundtruth:
             frames += f" (and {self.frames_without_groundtruth} without ground truth)"
-        rows = [("error", *headings), *self.errors.rows(f"estimate ({self.estimate})")]
+        rows = [("error", *headings), *self.errors.rows(f"estimate ({self.estimate})", self.unit)]
         if self.odometry is not None:
-            rows += self.odometry.rows("odometry alone")
+            rows += self.odometry.rows("odometry alone", self.unit)
         if self._pnp_errors is not None:
-            rows += self._pnp_errors.rows("pnp")
+            rows += self._pnp_errors.rows("pnp", self.unit)
         rows.append(("success, estimate", _yes_or_no(self.success)))
         if self.odometry is not None:
             rows.append(("success, odometry alone", _yes_or_no(self.odometry.success)))
@@ -266,9 +273,14 @@ class RunEvaluation:
 
 
 def evaluate_run_file(
-    run_path: Path, groundtruth_path: Path | None = None, estimate: str | None = None
+    run_path: Path,
+    groundtruth_path: Path | None = None,
+    estimate: str | None = None,
+    max_gap: float = MAX_GAP,
 ) -> RunEvaluation:
     """Evaluates a run file, against a TUM file or the ground truth that it carries itself.
+
+    Arguments are those of ``evaluate_run``.
 
     Raises:
         InputError: a file that cannot be used, no ground truth anywhere, or none that pairs.
@@ -277,7 +289,12 @@ def evaluate_run_file(
     run = load_run(run_path)
     groundtruth = None if groundtruth_path is None else read_tum(groundtruth_path)
     return evaluate_run(
-        run, groundtruth, estimate, run_path=run_path, groundtruth_path=groundtruth_path
+        run,
+        groundtruth,
+        estimate,
+        run_path=run_path,
+        groundtruth_path=groundtruth_path,
+        max_gap=max_gap,
     )
 
 
@@ -288,6 +305,7 @@ def evaluate_run(
     *,
     run_path: Path | str = "run",
     groundtruth_path: Path | str | None = None,
+    max_gap: float = MAX_GAP,
 ) -> RunEvaluation:
     """Compares a run's estimates, and its odometry, with the truth.
 
@@ -297,6 +315,8 @@ def evaluate_run(
         estimate: which estimate; None for the run's default.
         run_path: how errors name the run.
         groundtruth_path: how errors name the ground truth; None: so.
+        max_gap: seconds between two poses of ``groundtruth`` between which the truth is
+            interpolated, at most.
 
     Raises:
         InputError: no ground truth, none that pairs with a frame, or no estimate where there is.
@@ -305,7 +325,7 @@ def evaluate_run(
     checked_instance(run, "the run", Run)
     if groundtruth is not None:
         checked_instance(groundtruth, "ground truth", Trajectory)
-    truth = _true_states(run, groundtruth, run_path, groundtruth_path)
+    truth = true_states(run, groundtruth, run_path, groundtruth_path, max_gap)
     has_truth = known_states(truth)
     name = run.default_estimate if estimate is None else estimate
     estimated = run.estimated_states(estimate)
@@ -341,6 +361,7 @@ def evaluate_run(
         particles=len(run.frames[-1].particles),
         seconds_per_frame=float(np.mean(run.frame_seconds)),
         areas=evaluate_areas(run, truth, estimated),
+        unit=unit_of(run),
     )
 
 
@@ -382,34 +403,6 @@ def odometry_states(run: Run, groundtruth: FloatArray | None = None) -> FloatArr
     poses = run.space.poses(run.odometry)
     motions = np.stack([run.space.increment(poses[first], pose) for pose in poses])
     return run.space.composed(anchors[first], motions)
-
-
-def _true_states(
-    run: Run,
-    groundtruth: Trajectory | None,
-    run_path: Path | str,
-    groundtruth_path: Path | str | None,
-) -> FloatArray:
-    """True states ``(N, 3)``, NaN where there is none; at least one is known."""
-    if groundtruth is None:
-        if run.groundtruth is None or not np.any(known_states(run.groundtruth)):
-            raise InputError(
-                run_path, "carries no ground truth", "give a TUM file with --groundtruth"
-            )
-        return run.groundtruth
-    nearest = groundtruth.nearest(run.timestamps, PAIRING_TOLERANCE)
-    paired = nearest >= 0
-    if not np.any(paired):
-        times = run.timestamps
-        raise InputError(
-            groundtruth_path or "ground truth",
-            f"no pose lies within {PAIRING_TOLERANCE:g} s of a frame of {run_path}",
-            f"the frames are from {times[0]:.3f} to {times[-1]:.3f} s, the poses from "
-            f"{groundtruth.timestamps[0]:.3f} to {groundtruth.timestamps[-1]:.3f} s",
-        )
-    states = np.full((len(run.frames), run.space.dimension), np.nan)
-    states[paired] = run.space.states(groundtruth.poses[nearest[paired]])
-    return states
 
 
 def is_good(position_errors: FloatArray, heading_errors: FloatArray) -> BoolArray:

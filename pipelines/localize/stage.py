@@ -15,32 +15,31 @@ from pipelines.artifacts.arguments import (
 )
 from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.artifacts.atomic import check_output
-from pipelines.artifacts.errors import InputError, OptionError, StageError
+from pipelines.artifacts.errors import OptionError, StageError
 from pipelines.artifacts.provenance import provenance, sha256_of_file
 from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.dataset.dataset import (
     ODOMETRY_FILE,
-    PAIRING_TOLERANCE,
     Dataset,
     load_dataset,
-    poses_at_images,
 )
-from pipelines.geometry.planarity import check_planar
+from pipelines.geometry.interpolation import MAX_GAP
 from pipelines.lightfield.open_world import OpenWorld, scene_or_world
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.belief import Region
-from pipelines.localize.description import RunSummary
+from pipelines.localize.description import UNIT_OF_LENGTH, RunSummary
 from pipelines.localize.landmarks import LandmarkSource
 from pipelines.localize.localizer import NO_PNP, Localizer, region_of
 from pipelines.localize.map_heights import notes_on_heights
 from pipelines.localize.measurement_model import MeasurementModel
 from pipelines.localize.observation import camera_and_mount
+from pipelines.localize.odometry import images_with_odometry
 from pipelines.localize.pnp import MountedCamera, PnpLocalizer
 from pipelines.localize.pnp_frames import beside, pnp_record
 from pipelines.localize.run import FrameRecord, Run, save_run
 from pipelines.localize.scene_of_run import relative_scene_path
 from pipelines.localize.settings import LocalizerSettings
-from pipelines.localize.state_space import StateSpace
+from pipelines.localize.true_states import states_of_truth
 from pipelines.reconstruct.reconstruction import (
     DESCRIPTION_NAME,
     Reconstruction,
@@ -70,6 +69,8 @@ class LocalizeRequest:
         overwrite: whether an existing file may be replaced.
         memory: megabytes that a world's open areas and all that belongs to localizing in them may
             take; None: 1000. A scene is in memory as a whole.
+        max_gap: seconds between two poses of odometry between which those of images are
+            interpolated, at most.
 
     Raises:
         OptionError: a value of another type.
@@ -86,6 +87,7 @@ class LocalizeRequest:
     reconstruction: Path | None = None
     overwrite: bool = False
     memory: float | None = None
+    max_gap: float = MAX_GAP
 
     def __post_init__(self) -> None:
         for name in ("scene", "dataset", "output", "odometry", "mask", "reconstruction"):
@@ -94,6 +96,7 @@ class LocalizeRequest:
                 object.__setattr__(self, name, checked_path(value, name))
         check_fields(self)
         checked_number(self.seed, "seed", 0, whole=True)
+        checked_number(self.max_gap, "the longest gap", 0.0)
 
     @property
     def odometry_source(self) -> Path:
@@ -149,9 +152,12 @@ def localize(request: LocalizeRequest, progress: Progress = no_progress) -> RunS
         raise OptionError("a reconstruction is of use to PnP alone, which nothing asks for")
     scene = scene_or_world(request.scene, request.memory)
     points = None if reconstruction is None else load_reconstruction(reconstruction)
-    dataset = load_dataset(request.dataset, odometry=request.odometry, mask=request.mask)
-    if request.ignore_odometry:
-        dataset = replace(dataset, odometry=None)
+    dataset = load_dataset(
+        request.dataset,
+        odometry=request.odometry,
+        mask=request.mask,
+        reads_odometry=not request.ignore_odometry,
+    )
     if settings.method == "filter":
         # The file says where it was computed: another device rounds differently.
         settings = replace(settings, device=resolved_device(settings.device))
@@ -175,6 +181,7 @@ def localize(request: LocalizeRequest, progress: Progress = no_progress) -> RunS
         origin=origin,
         progress=progress,
         landmarks=None if points is None else _landmarks(scene, points, str(reconstruction)),
+        max_gap=request.max_gap,
     )
     save_run(request.output, run, request.overwrite)
     return RunSummary(request.output, run)
@@ -196,8 +203,11 @@ def localize_dataset(
     progress: Progress = no_progress,
     landmarks: LandmarkSource | None = None,
     model: MeasurementModel | None = None,
+    max_gap: float = MAX_GAP,
 ) -> Run:
     """Localizes the robot in every frame of a data set, in memory.
+
+    Where the filter goes by odometry, images without are left out, which a note says.
 
     Args:
         scene: the light field, or a world of several.
@@ -208,6 +218,8 @@ def localize_dataset(
         progress: told how far the work is.
         landmarks: of the features that PnP uses; None: from the scene's surface.
         model: compares states with images; built from the scene when None.
+        max_gap: seconds between two poses of odometry between which those of images are
+            interpolated, at most.
 
     Raises:
         InputError: the data set lacks camera, mount or odometry, its odometry is not that of a
@@ -231,12 +243,16 @@ def localize_dataset(
     space = settings.state_space
     camera, mount = camera_and_mount(dataset, space)
     mask = None if dataset.mask is None else dataset.mask.used
-    notes = list(check_odometry(dataset, settings, odometry))
+    dataset, body_poses, notes = images_with_odometry(dataset, settings, odometry, max_gap)
     if space.angles == 1 and isinstance(scene, Scene):
         notes += notes_on_heights(scene, float(mount[2, 3]))
-    body_poses = None
-    if dataset.odometry is not None:
-        body_poses = poses_at_images(dataset, dataset.odometry, odometry)
+    if isinstance(scene, Scene) and scene.unit != "m":
+        record = {**record, UNIT_OF_LENGTH: scene.unit}
+        if space.angles == 1:
+            notes.append(
+                "the scene's scale is unknown, odometry and mount are metres: lfnav reconstruct or "
+                "import it with --scale"
+            )
     pnp = None
     if settings.uses_pnp:
         if isinstance(scene, OpenWorld):
@@ -275,42 +291,10 @@ def localize_dataset(
         frames=tuple(frames),
         encoded_images=tuple(dataset.read_image_bytes(index) for index in range(len(dataset))),
         odometry=None if body_poses is None else space.states(body_poses),
-        groundtruth=_groundtruth_states(dataset, space),
+        groundtruth=states_of_truth(dataset, space, max_gap),
         provenance={**record, "notes": notes} if notes else record,
         areas=scene.area_map if isinstance(scene, OpenWorld) else None,
     )
-
-
-def check_odometry(dataset: Dataset, settings: LocalizerSettings, source: Path) -> tuple[str, ...]:
-    """Refuses to filter a planar robot's drive without odometry, or with that of something else.
-
-    Returns:
-        Lines on what is suspicious about the odometry.
-
-    Raises:
-        InputError: there is none, or no robot on a floor moves like this; ``source`` is named.
-    """
-    if settings.state_space.angles != 1:
-        return ()
-    if dataset.odometry is None and settings.method == "filter":
-        raise InputError(
-            source,
-            "is missing: a planar robot is localized with odometry",
-            "give the file with --odometry",
-        )
-    if dataset.odometry is None:
-        return ()
-    nearest = dataset.odometry.nearest(dataset.timestamps, PAIRING_TOLERANCE)
-    if not np.any(nearest >= 0):
-        return ()
-    try:
-        note = check_planar(dataset.odometry.poses[nearest[nearest >= 0]], source)
-    except InputError as error:
-        if settings.method == "filter":
-            raise
-        # Poses by features do without; the odometry is only shown beside them.
-        note = str(error)
-    return () if note is None else (note,)
 
 
 def _locator(
@@ -345,13 +329,3 @@ def _locator(
         return beside(record, answer, noted=settings.with_pnp)
 
     return step
-
-
-def _groundtruth_states(dataset: Dataset, space: StateSpace) -> FloatArray | None:
-    """``(N, D)`` true states, NaN where there is none; for evaluation only."""
-    if dataset.groundtruth is None:
-        return None
-    nearest = dataset.groundtruth.nearest(dataset.timestamps, PAIRING_TOLERANCE)
-    states = np.full((len(dataset), space.dimension), np.nan)
-    states[nearest >= 0] = space.states(dataset.groundtruth.poses[nearest[nearest >= 0]])
-    return states

@@ -19,12 +19,16 @@ from pipelines.artifacts.provenance import provenance, sha256_of_bytes
 from pipelines.artifacts.stages import Progress
 from pipelines.dataset.images import read_image_header
 from pipelines.dataset.importers.camera_grid import read_camera_grid
+from pipelines.dataset.importers.euroc import read_euroc
 from pipelines.dataset.importers.kitti import read_kitti
+from pipelines.dataset.importers.llff import read_llff
 from pipelines.dataset.importers.nerfstudio import read_nerfstudio
 from pipelines.dataset.importers.placing import place_depth, place_images, write_lists
+from pipelines.dataset.importers.polycam import read_polycam
 from pipelines.dataset.importers.recognition import Recognition, recognise
+from pipelines.dataset.importers.record3d import read_record3d
 from pipelines.dataset.importers.recording import IMAGE_FOLDER, Recording
-from pipelines.dataset.importers.settings import POSED_KINDS, ImportSettings
+from pipelines.dataset.importers.settings import POSED_KINDS, UNSCALED_KINDS, ImportSettings
 from pipelines.dataset.importers.seven_scenes import read_seven_scenes
 from pipelines.dataset.importers.video import extract_frames
 from pipelines.reconstruct.alignment import Similarity, align_by_convention, mean_up
@@ -47,6 +51,10 @@ _READERS: dict[str, Callable[[Path, ImportSettings], Recording]] = {
     "nerfstudio": lambda source, settings: read_nerfstudio(source, settings.allow_missing),
     "kitti": read_kitti,
     "7scenes": read_seven_scenes,
+    "euroc": lambda source, _: read_euroc(source),
+    "record3d": lambda source, _: read_record3d(source),
+    "polycam": lambda source, _: read_polycam(source),
+    "llff": lambda source, _: read_llff(source),
 }
 # Degrees by which the cameras may lean on average before the user is told.
 LEANING_DEG = 45.0
@@ -113,7 +121,7 @@ def _fill(
     """Writes everything into ``folder``, which will be ``output``."""
     posed = found.kind in POSED_KINDS
     ups = np.array([read_image_header(frame.file).up for frame in recording.frames], dtype=float)
-    poses, world = _placed(recording, settings, ups)
+    poses, world = _placed(recording, found.kind, settings, ups)
     hashes = place_images(folder, recording, link=settings.link, decode=posed, progress=progress)
     place_depth(folder, recording, progress)
     write_lists(folder, recording, poses)
@@ -159,7 +167,7 @@ def _write_record(path: Path, summary: ImportSummary, record: dict[str, Any]) ->
 
 
 def _placed(
-    recording: Recording, settings: ImportSettings, ups: FloatArray
+    recording: Recording, kind: str, settings: ImportSettings, ups: FloatArray
 ) -> tuple[FloatArray | None, Similarity]:
     """world_from_camera in the world of the data set, and that world from the source's."""
     poses = recording.world_from_camera
@@ -167,7 +175,8 @@ def _placed(
     world = Similarity(scale, np.eye(3), np.zeros(3))
     if poses is None:
         return None, world
-    if settings.upright:
+    # The world of structure from motion, which LLFF's is, has nothing that is up.
+    if settings.upright or kind == "llff":
         try:
             world = align_by_convention(poses, scale, ups)
         except StageError as error:
@@ -192,7 +201,7 @@ def _notes_on_the_world(
 
 
 def _scale_is_arbitrary(kind: str, settings: ImportSettings) -> bool:
-    return kind in ("colmap", "nerfstudio") and settings.scale is None
+    return kind in UNSCALED_KINDS and settings.scale is None
 
 
 def _reconstruction(
@@ -203,7 +212,7 @@ def _reconstruction(
     hashes: tuple[str, ...],
     poses: FloatArray,
 ) -> Reconstruction:
-    source = "given poses" if found.kind == "grid" else "--scale"
+    source = "--scale" if found.kind in UNSCALED_KINDS else "given poses"
     return Reconstruction(
         method="poses",
         image_root=output.absolute(),

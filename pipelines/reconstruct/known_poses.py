@@ -7,16 +7,13 @@ the camera's place on the robot. An image without a pose is dropped with a reaso
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from pipelines.artifacts.arrays import FloatArray, IntArray
 from pipelines.artifacts.errors import InputError
 from pipelines.dataset.dataset import Dataset
+from pipelines.dataset.pairing import pair_images
 from pipelines.geometry.camera import Camera
+from pipelines.geometry.interpolation import MAX_GAP
 from pipelines.geometry.trajectory import Trajectory, read_tum
-
-# Seconds; the tolerance of the TUM benchmark's tools.
-PAIRING_TOLERANCE = 0.02
 
 
 @dataclass(frozen=True)
@@ -27,11 +24,13 @@ class KnownPoses:
         image_index: ``(N,)`` indices into the data set's images.
         world_from_camera: ``(N, 4, 4)``.
         dropped: name of an image without a pose -> the reason.
+        notes: lines on poses that are not of an image's very time.
     """
 
     image_index: IntArray
     world_from_camera: FloatArray
     dropped: dict[str, str]
+    notes: tuple[str, ...] = ()
 
 
 def odometry_of(dataset: Dataset) -> Trajectory:
@@ -64,49 +63,42 @@ def known_camera(dataset: Dataset) -> Camera:
     return dataset.camera
 
 
-def poses_from_odometry(dataset: Dataset) -> KnownPoses:
+def poses_from_odometry(dataset: Dataset, max_gap: float = MAX_GAP) -> KnownPoses:
     """Camera poses from integrated odometry and the camera's mount.
 
     Raises:
         InputError: the data set has no odometry, or none of its poses belongs to an image.
     """
-    return pair_poses(dataset, odometry_of(dataset), dataset.root / "odometry.txt")
+    return pair_poses(dataset, odometry_of(dataset), dataset.root / "odometry.txt", max_gap)
 
 
-def poses_from_file(dataset: Dataset, path: Path) -> KnownPoses:
+def poses_from_file(dataset: Dataset, path: Path, max_gap: float = MAX_GAP) -> KnownPoses:
     """Camera poses from a TUM file of world_from_body and the camera's mount.
 
     Raises:
         InputError: the file cannot be read, or none of its poses belongs to an image.
     """
-    return pair_poses(dataset, read_tum(path), path)
+    return pair_poses(dataset, read_tum(path), path, max_gap)
 
 
-def pair_poses(dataset: Dataset, trajectory: Trajectory, source: Path) -> KnownPoses:
-    """Gives every image the pose nearest in time, if it is near enough.
+def pair_poses(
+    dataset: Dataset, trajectory: Trajectory, source: Path, max_gap: float = MAX_GAP
+) -> KnownPoses:
+    """Gives every image the pose at its time, if one is known.
 
     Args:
         dataset: the images and the mount.
         trajectory: world_from_body.
         source: the file of the trajectory, for error texts.
+        max_gap: seconds between the two poses around an image at most.
 
     Raises:
         InputError: no pose belongs to any image.
     """
-    nearest = trajectory.nearest(dataset.timestamps, PAIRING_TOLERANCE)
-    paired = np.flatnonzero(nearest >= 0)
-    if len(paired) == 0:
-        first, last = trajectory.timestamps[[0, -1]]
-        raise InputError(
-            source,
-            f"none of its poses (time {first:.3f} to {last:.3f}) lies within "
-            f"{PAIRING_TOLERANCE} s of an image (time {dataset.timestamps[0]:.3f} to "
-            f"{dataset.timestamps[-1]:.3f})",
-        )
-    dropped = {
-        dataset.image_names[index]: f"no pose within {PAIRING_TOLERANCE} s of time "
-        f"{dataset.timestamps[index]:.6f} in {source.name}"
-        for index in np.flatnonzero(nearest < 0).tolist()
-    }
-    world_from_body = trajectory.poses[nearest[paired]]
-    return KnownPoses(paired, world_from_body @ dataset.body_from_camera, dropped)
+    found = pair_images(dataset, trajectory, source, max_gap)
+    return KnownPoses(
+        found.image_index,
+        found.world_from_body @ dataset.body_from_camera,
+        {dataset.image_names[index]: reason for index, reason in found.left_out.items()},
+        found.notes,
+    )

@@ -7,6 +7,7 @@ from typing import Any
 
 from pipelines.artifacts.arguments import check_fields
 from pipelines.artifacts.errors import OptionError, quoted
+from pipelines.geometry.interpolation import MAX_GAP
 from pipelines.reconstruct.reconstruction import METHODS
 
 MATCHERS = ("auto", "spatial", "sequential", "exhaustive")
@@ -26,6 +27,8 @@ class ReconstructSettings:
         seed: of all random choices of structure from motion.
         max_features: features an image.
         planar: structure from motion of a robot's camera: adjusted with poses on the floor.
+        max_gap: seconds between two poses of odometry or of ``poses`` between which those of
+            images are interpolated, at most.
         max_size: pixels; features are sought in images reduced to this longer side.
 
     Raises:
@@ -40,6 +43,7 @@ class ReconstructSettings:
     max_features: int = 4096
     max_size: int = 960
     planar: bool = False
+    max_gap: float = MAX_GAP
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -61,6 +65,8 @@ class ReconstructSettings:
             raise OptionError(f"--scale {self.scale:g} is not a positive number")
         if self.planar and self.method != "sfm":
             raise OptionError(f"--planar goes with --method sfm, not with {self.method}")
+        if not (math.isfinite(self.max_gap) and self.max_gap >= 0.0):
+            raise OptionError(f"--max-gap {self.max_gap:g} is not a number of seconds")
         if not 0 <= self.seed < 2**31:
             raise OptionError(f"--seed {self.seed} is not in 0 to {2**31 - 1}")
         if not 64 <= self.max_features <= 65536:
@@ -70,10 +76,13 @@ class ReconstructSettings:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON types, for the record; only what the method uses."""
+        # What is left at its default does not change the record of older versions.
+        gap = {} if self.max_gap == MAX_GAP else {"max_gap": self.max_gap}
         if self.method == "odometry":
-            return {"method": self.method}
+            return {"method": self.method, **gap}
         if self.method == "poses":
-            return {"method": self.method, "poses": self.poses.name if self.poses else None}
+            name = self.poses.name if self.poses else None
+            return {"method": self.method, "poses": name, **gap}
         return {
             "method": self.method,
             "matcher": self.matcher,
@@ -82,4 +91,5 @@ class ReconstructSettings:
             "max_features": self.max_features,
             "max_size": self.max_size,
             "planar": self.planar,
+            **gap,
         }

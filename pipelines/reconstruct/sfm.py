@@ -95,7 +95,7 @@ def starts_from_odometry(dataset: Dataset, settings: ReconstructSettings) -> boo
             len(dataset) > SPATIAL_LIMIT
             and odometry is not None
             and camera is not None
-            and not poses_from_odometry(dataset).dropped
+            and not poses_from_odometry(dataset, settings.max_gap).dropped
         )
     if settings.matcher != "spatial":
         return False
@@ -134,7 +134,9 @@ def structure_from_motion(
         raise InputError(
             dataset.root, f"holds {count} images; structure from motion needs {MIN_IMAGES}"
         )
-    odometry = poses_from_odometry(dataset) if starts_from_odometry(dataset, settings) else None
+    odometry = None
+    if starts_from_odometry(dataset, settings):
+        odometry = poses_from_odometry(dataset, settings.max_gap)
     # The worker runs in it, where a path from here would lead elsewhere.
     folder = folder.absolute()
     folder.mkdir(parents=True, exist_ok=True)

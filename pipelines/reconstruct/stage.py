@@ -5,7 +5,7 @@ import json
 import logging
 import math
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from pipelines.artifacts.provenance import provenance, sha256_of_bytes, sha256_o
 from pipelines.artifacts.stages import Progress, no_progress
 from pipelines.dataset.dataset import ODOMETRY_FILE, Dataset, load_dataset
 from pipelines.dataset.images import decode_image, read_image_header
-from pipelines.geometry.planarity import check_planar, check_quaternion_order
+from pipelines.geometry.planarity import check_planar, check_quaternion_order, note_on_speed
 from pipelines.geometry.pose import inverse, planar_state_of
 from pipelines.reconstruct.alignment import Similarity, align_by_convention, align_to_odometry
 from pipelines.reconstruct.description import ReconstructionSummary
@@ -31,6 +31,7 @@ from pipelines.reconstruct.known_poses import (
     poses_from_odometry,
 )
 from pipelines.reconstruct.planar_adjustment import adjust_in_plane
+from pipelines.reconstruct.pose_check import note_on_poses
 from pipelines.reconstruct.reconstruction import (
     DESCRIPTION_NAME,
     Reconstruction,
@@ -82,7 +83,8 @@ def reconstruct(
     output = checked_path(output, "the reconstruction's path")
     checked_instance(settings, "settings", ReconstructSettings)
     check_output(output, overwrite, DESCRIPTION_NAME)
-    data = load_dataset(dataset)
+    data = load_dataset(dataset, reads_odometry=settings.method != "poses")
+    data, repeated = _without_repeats(data)
     if settings.planar and (data.odometry is None or data.base_from_camera is None):
         # Said before minutes are spent on structure from motion.
         raise InputError(
@@ -93,19 +95,46 @@ def reconstruct(
     _check_movement(data, settings.planar)
     unfinished = output.with_name(output.name + UNFINISHED_SUFFIX)
     if settings.method == "sfm":
+        dropped: dict[str, str] = {}
+        if settings.planar:
+            data, dropped = _with_odometry(data, settings)
         result = _from_images(data, settings, unfinished, progress)
         if settings.planar:
-            result = _in_plane(data, result)
+            result = _in_plane(data, settings, result)
+        result = replace(result, dropped=dropped | result.dropped)
     elif settings.poses is not None:
-        poses = poses_from_file(data, settings.poses)
+        poses = poses_from_file(data, settings.poses, settings.max_gap)
+        known_camera(data)
+        for note in _notes_on_given(data, poses):
+            _log.warning("%s: %s", settings.poses, note)
         result = _from_known_poses(data, settings, poses, "given poses", progress)
     else:
-        poses = poses_from_odometry(data)
+        poses = poses_from_odometry(data, settings.max_gap)
         result = _from_known_poses(data, settings, poses, "odometry", progress)
+    if repeated:
+        result = replace(result, dropped=result.dropped | repeated)
     record = provenance("reconstruct", settings.to_dict(), _inputs(data, settings, result))
     save_reconstruction(output, result, record, overwrite)
     shutil.rmtree(unfinished, ignore_errors=True)
     return ReconstructionSummary(output, result)
+
+
+def _notes_on_given(data: Dataset, poses: KnownPoses) -> list[str]:
+    """What photos and times say against given poses."""
+    times = data.timestamps[poses.image_index]
+    speed = note_on_speed(times, poses.world_from_camera[:, :3, 3])
+    return [note for note in (note_on_poses(data, poses), speed) if note is not None]
+
+
+def _without_repeats(data: Dataset) -> tuple[Dataset, dict[str, str]]:
+    """Each image once, and why the others are dropped: a map learns nothing from the same photo."""
+    first: dict[str, int] = {}
+    repeated: dict[str, str] = {}
+    for index, name in enumerate(data.image_names):
+        if first.setdefault(name, index) != index:
+            at = f"{name} at {data.timestamps[index]:.6f}"
+            repeated[at] = f"is the image of {data.timestamps[first[name]]:.6f} once more"
+    return (data.part(first.values()), repeated) if repeated else (data, {})
 
 
 def _check_movement(data: Dataset, planar: bool) -> None:
@@ -128,6 +157,8 @@ def _from_known_poses(
     scale_source: str,
     progress: Progress,
 ) -> Reconstruction:
+    for note in poses.notes:
+        _log.warning("%s", note)
     camera = known_camera(data)
     indices = poses.image_index.tolist()
     return Reconstruction(
@@ -196,13 +227,17 @@ def _from_images(
     )
 
 
-def _in_plane(data: Dataset, free: Reconstruction) -> Reconstruction:
+def _with_odometry(data: Dataset, settings: ReconstructSettings) -> tuple[Dataset, dict[str, str]]:
+    """The images that have odometry, and why the others are dropped: the floor is known by it."""
+    odometry = poses_from_odometry(data, settings.max_gap)
+    return data.part(odometry.image_index.tolist()), odometry.dropped
+
+
+def _in_plane(data: Dataset, settings: ReconstructSettings, free: Reconstruction) -> Reconstruction:
     """The reconstruction with its poses on the floor."""
-    odometry = poses_from_odometry(data)
+    odometry = poses_from_odometry(data, settings.max_gap)
     names = [data.image_names[index] for index in odometry.image_index.tolist()]
     row_of_name = {name: row for row, name in enumerate(names)}
-    if any(name not in row_of_name for name in free.image_names):
-        raise StageError(f"{data.root}: --planar needs odometry at every image")
     rows = [row_of_name[name] for name in free.image_names]
     world_from_base = odometry.world_from_camera[rows] @ inverse(data.body_from_camera)
     try:
@@ -236,7 +271,7 @@ def _place(
         ups = np.array([read_image_header(data.image_path(i)).up for i in indices], dtype=float)
         return _Placement(align_by_convention(model_from_camera, scale, ups), source, {})
     row_of_index = {index: row for row, index in enumerate(indices)}
-    odometry = poses_from_odometry(data)
+    odometry = poses_from_odometry(data, settings.max_gap)
     shared = [
         (row_of_index[index], row)
         for row, index in enumerate(odometry.image_index.tolist())

@@ -16,6 +16,7 @@ from pipelines.artifacts.arrays import BoolArray, FloatArray, ImageArray
 from pipelines.artifacts.errors import StageError
 from pipelines.artifacts.stages import Progress
 from pipelines.dataset.dataset import load_dataset
+from pipelines.geometry.interpolation import MAX_GAP
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.scene_file import load_scene
 from pipelines.lightfield.views import views_of_scene
@@ -24,6 +25,7 @@ from pipelines.render.held_out import (
     HeldOut,
     lie_amid_others,
     photos_of_dataset,
+    posed_photos,
     views_one_by_one,
 )
 from pipelines.render.image_quality import psnr, ssim
@@ -97,6 +99,7 @@ def evaluate_scene(
     progress: Progress,
     *,
     interior: bool = False,
+    max_gap: float = MAX_GAP,
 ) -> SceneEvaluation:
     """Renders held-out photos at their known poses and compares.
 
@@ -108,6 +111,7 @@ def evaluate_scene(
         blending: the rule that chooses and weights the views.
         progress: told how far the work is.
         interior: without a data set: only views that were taken amid the others.
+        max_gap: seconds between two of the poses between which a photo's is interpolated, at most.
 
     Raises:
         InputError: the data set has no camera or no poses, or something cannot be read.
@@ -127,9 +131,9 @@ def evaluate_scene(
         if interior:
             against = f"{count} interior views of {len(scene)}, each from the others"
     else:
-        frames = load_dataset(dataset)
+        frames, camera_poses = posed_photos(load_dataset(dataset), poses, max_gap)
         count = len(frames)
-        held_out = photos_of_dataset(frames, poses, views)
+        held_out = photos_of_dataset(frames, camera_poses, views)
         against = f"{count} photos of {dataset.resolve().name}"
     values: dict[str, dict[str, list[float]]] = {
         method: {measure: [] for measure in MEASURES}

@@ -1,5 +1,6 @@
 """Held-out photos, each with a light field that does not hold it."""
 
+import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,8 +10,10 @@ import scipy
 
 from pipelines.artifacts.arrays import BoolArray, FloatArray, ImageArray
 from pipelines.artifacts.errors import InputError
-from pipelines.dataset.dataset import CAMERA_FILE, GROUNDTRUTH_FILE, Dataset, poses_at_images
+from pipelines.dataset.dataset import CAMERA_FILE, GROUNDTRUTH_FILE, Dataset
+from pipelines.dataset.pairing import pair_images
 from pipelines.geometry.camera import Intrinsics, Undistorter
+from pipelines.geometry.interpolation import MAX_GAP
 from pipelines.geometry.trajectory import read_tum
 from pipelines.lightfield.scene import Scene
 from pipelines.lightfield.views import Views, without_view
@@ -18,6 +21,8 @@ from pipelines.lightfield.views import Views, without_view
 # Recording positions that leave a plane (or a line) by less than this share of their extent lie in
 # it; those nearer to the border of their hull lie on it.
 FLATNESS = 0.02
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -48,19 +53,49 @@ def views_one_by_one(scene: Scene, views: Views, chosen: Sequence[int]) -> Itera
         )
 
 
-def photos_of_dataset(dataset: Dataset, poses: Path | None, views: Views) -> Iterator[HeldOut]:
-    """The photos of a data set, at the poses of a TUM file or of its ground truth.
+def posed_photos(
+    dataset: Dataset, poses: Path | None, max_gap: float = MAX_GAP
+) -> tuple[Dataset, FloatArray]:
+    """The photos of a data set that have a pose in a TUM file or in its ground truth.
+
+    Args:
+        dataset: the photos.
+        poses: the file; None: the ground truth.
+        max_gap: seconds between the two poses around a photo at most.
+
+    Returns:
+        Those photos, and world_from_camera of each, ``(N, 4, 4)``.
 
     Raises:
-        InputError: the data set has no camera, no poses, or cannot be read.
+        InputError: the data set has no camera, or no poses at its photos.
     """
     if dataset.camera is None:
         raise InputError(dataset.root / CAMERA_FILE, "is missing: the photos' camera must be known")
     source = dataset.root / GROUNDTRUTH_FILE if poses is None else poses
-    trajectory = dataset.groundtruth if poses is None else read_tum(poses)
-    if trajectory is None:
-        raise InputError(source, "is missing: poses are needed to render at", "--poses")
-    camera_poses = poses_at_images(dataset, trajectory, source) @ dataset.body_from_camera
+    missing = "is missing: poses are needed to render at"
+    trajectory = dataset.true_poses(missing, "--poses") if poses is None else read_tum(poses)
+    found = pair_images(dataset, trajectory, source, max_gap)
+    for note in found.notes:
+        _log.warning("%s", note)
+    photos = dataset.part(found.image_index.tolist())
+    return photos, found.world_from_body @ dataset.body_from_camera
+
+
+def photos_of_dataset(
+    dataset: Dataset, camera_poses: FloatArray, views: Views
+) -> Iterator[HeldOut]:
+    """The photos of a data set, each with the light field.
+
+    Args:
+        dataset: the photos, as ``posed_photos`` returns them.
+        camera_poses: ``(N, 4, 4)`` world_from_camera.
+        views: the light field.
+
+    Raises:
+        InputError: the data set has no camera, or a photo cannot be read.
+    """
+    if dataset.camera is None:
+        raise InputError(dataset.root / CAMERA_FILE, "is missing: the photos' camera must be known")
     undistorter = Undistorter(dataset.camera)
     for index, pose in enumerate(camera_poses):
         image = undistorter(dataset.read_image(index))

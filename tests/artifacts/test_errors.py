@@ -15,6 +15,8 @@ from pipelines.artifacts.errors import (
     REASON_CHARACTERS,
     InputError,
     LfnavError,
+    OptionError,
+    StageError,
     quoted,
     reason_of,
 )
@@ -109,6 +111,14 @@ def json_choice(path: Path) -> object:
 
 def config(path: Path) -> object:
     return effective_settings(path, {})
+
+
+def test_no_message_holds_control_characters_or_goes_on_for_ever() -> None:
+    for made in (LfnavError, OptionError, StageError, lambda text: InputError("a", text)):
+        message = str(made("estimates/\x1b[31mred\x1b[0m\ud800 is missing" + "A" * 100_000))
+        assert "\\x1b[31mred\\x1b[0m\\ud800 is missing" in message
+        assert is_harmless(message)
+        assert len(message) < 9000
 
 
 READERS: dict[str, Callable[[str], Callable[[Path], object]]] = {

@@ -112,6 +112,19 @@ def test_cmyk_becomes_rgb() -> None:
     assert decode_image(white, "a.jpg").min() > 250
 
 
+@pytest.mark.parametrize("error", [ValueError, KeyError, OverflowError, SystemError])
+def test_whatever_the_decoder_raises_is_damage(
+    error: type[Exception], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def convert(*_: object) -> None:
+        raise error("palette index out of range")
+
+    data = encode_png(np.zeros((4, 4), dtype=np.uint8))
+    monkeypatch.setattr(Image.Image, "convert", convert)
+    with pytest.raises(InputError, match=r"p\.png: is a damaged .*palette index out of range"):
+        decode_image(data, "p.png")
+
+
 def turned(orientation: int, kind: str) -> bytes:
     exif = Image.Exif()
     exif[0x0112] = orientation

@@ -12,7 +12,8 @@ import pytest
 from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import InputError
 from pipelines.artifacts.stages import no_progress
-from pipelines.dataset.dataset import Dataset, load_dataset, poses_at_images
+from pipelines.dataset.dataset import Dataset, load_dataset
+from pipelines.dataset.pairing import poses_at_images
 from pipelines.experiments.disturbed_sequences import (
     COVER,
     DISTURBED,

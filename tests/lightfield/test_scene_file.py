@@ -277,7 +277,8 @@ def test_camera_index_out_of_range(tmp_path: Path, index: int) -> None:
 
 
 @pytest.mark.parametrize(
-    "bounds", [[1.0, 1.0, 0.0, 1.0], [0.0, 1.0, 2.0, 1.0], [0.0, np.nan, 0.0, 1.0]]
+    "bounds",
+    [[1.0, 1.0, 0.0, 1.0], [0.0, 1.0, 2.0, 1.0], [0.0, np.nan, 0.0, 1.0], [0.0, 1e-300, 0.0, 1.0]],
 )
 def test_bounds_without_area(tmp_path: Path, bounds: list[float]) -> None:
     path = saved(tmp_path / "s.h5", small_scene(bounds=np.array(bounds)))
@@ -338,6 +339,12 @@ def test_summary_says_how_sure_the_plane_is(tmp_path: Path) -> None:
     rows = {row[0]: row[1] for row in describe_scene(path).table()}
     assert "80%" in rows["plane from"]
     assert "1.3 cm, 0.50 deg" in rows["plane from"]
+    assert rows["area"].count(" m") == 2
+    save_scene(path, replace(identified(sure), scale_source="arbitrary"), overwrite=True)
+    rows = {row[0]: row[1] for row in describe_scene(path).table()}
+    assert "0.013 units, 0.50 deg" in rows["plane from"]
+    assert rows["area"].count(" units") == 2
+    assert " m" not in rows["area"]
 
 
 def test_bounds_span_positions_and_what_they_show() -> None:

@@ -15,6 +15,7 @@ from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import InputError, OptionError
 from pipelines.geometry.pose import world_from_base_planar, wrap_angle
 from pipelines.geometry.trajectory import Trajectory, format_tum
+from pipelines.localize.description import describe_run
 from pipelines.localize.evaluation import evaluate_run, evaluate_run_file, odometry_states
 from pipelines.localize.run import Run, save_run
 from pipelines.localize.state_space import SPATIAL
@@ -48,7 +49,7 @@ def test_errors_agree_with_evo(tmp_path: Path) -> None:
     times: FloatArray = 1305031102.175304 + 0.1 * np.arange(25, dtype=np.float64)
     run = run_along(noisy(truth, 1), timestamps=times)
     run = replace(run, odometry=noisy(truth, 2))
-    reference = trajectory(truth, times + 0.004)
+    reference = trajectory(truth, times)
     (tmp_path / "truth.tum").write_text(format_tum(reference))
     (tmp_path / "run.tum").write_text(export_trajectory(run, "tum"))
     placed = trajectory(odometry_states(run, truth), times)
@@ -67,6 +68,17 @@ def test_errors_agree_with_evo(tmp_path: Path) -> None:
             for key in ("rmse", "median", "max"):
                 assert getattr(statistics, key) == pytest.approx(figures[key], abs=1e-6)
             np.testing.assert_allclose(statistics.per_frame, ape.error, atol=1e-6)
+
+
+def test_lengths_are_units_where_the_scale_of_the_scene_is_unknown(tmp_path: Path) -> None:
+    truth = curved_path(6)
+    run = run_along(truth, groundtruth=truth)
+    for unit, record in (("m", {}), ("units", {"unit_of_length": "units"})):
+        path = tmp_path / f"{unit}.h5"
+        save_run(path, replace(run, provenance={**run.provenance, **record}), overwrite=False)
+        assert evaluate_run_file(path).table()[1][0].endswith(f": position ({unit})")
+        (shown,) = [row[1] for row in describe_run(path).table() if row[0] == "last estimate"]
+        assert f" {unit}, y " in shown
 
 
 def test_figures_are_those_computed_by_hand() -> None:

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import OptionError
-from pipelines.dataset.dataset import PAIRING_TOLERANCE
 from pipelines.dataset.images import encode_png
+from pipelines.geometry.interpolation import PAIRING_TOLERANCE
 from pipelines.geometry.pose import inverse, pose_from_rotation
 from pipelines.lightfield.local_features import find_features
 from pipelines.lightfield.scene_file import save_scene

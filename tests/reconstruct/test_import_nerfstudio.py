@@ -55,6 +55,44 @@ def write(folder: Path, content: Any) -> Path:
     return folder
 
 
+def test_times_of_the_frames_are_taken_over(tmp_path: Path) -> None:
+    content = sample(tmp_path / "source")
+    # In the order of time, which is not that of the names; in nanoseconds.
+    for frame, seconds in zip(content["frames"], (1403636579.5, 1403636580.25), strict=True):
+        frame["timestamp"] = round(seconds * 1e9)
+    write(tmp_path / "source", content)
+    import_source(
+        tmp_path / "source",
+        tmp_path / "out",
+        ImportSettings(),
+        overwrite=False,
+        progress=no_progress,
+    )
+    found = load_reconstruction(tmp_path / "out" / "reconstruction")
+    assert found.image_names == ("rgb/f10.png", "rgb/f2.png")
+    np.testing.assert_allclose(found.timestamps, [1403636579.5, 1403636580.25], atol=1e-6)
+    np.testing.assert_allclose(found.world_from_camera[:, 1, 3], [3.0, 2.2])
+    assert load_dataset(tmp_path / "out").timestamps.tolist() == found.timestamps.tolist()
+
+
+@pytest.mark.parametrize(
+    ("times", "note"),
+    [
+        ((1.0, None), "timestamp is missing for 1 frames: times are not taken"),
+        ((1.0, 1.0), "frames have the same timestamp: times are not taken"),
+    ],
+)
+def test_times_that_cannot_be_taken_over(
+    tmp_path: Path, times: tuple[float | None, ...], note: str
+) -> None:
+    content = sample(tmp_path / "source")
+    for frame, time in zip(content["frames"], times, strict=True):
+        frame["timestamp"] = time
+    recording = read_nerfstudio(write(tmp_path / "source", content))
+    assert [frame.timestamp for frame in recording.frames] == [0.0, 1.0]
+    assert recording.notes == (note,)
+
+
 def test_a_known_point_lands_on_the_pixel_that_opengl_says(tmp_path: Path) -> None:
     source = write(tmp_path / "source", sample(tmp_path / "source"))
     recording = read_nerfstudio(source)

@@ -13,10 +13,11 @@ from lfnav_cli.main import main
 from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import InputError, OptionError
 from pipelines.artifacts.stages import no_progress
-from pipelines.dataset.dataset import load_dataset, poses_at_images
+from pipelines.dataset.dataset import load_dataset
 from pipelines.dataset.images import decode_depth, encode_depth
 from pipelines.dataset.importers.kitti import read_kitti
 from pipelines.dataset.importers.settings import ImportSettings
+from pipelines.dataset.pairing import poses_at_images
 from pipelines.reconstruct.import_description import ImportSummary
 from pipelines.reconstruct.import_stage import import_source
 from pipelines.reconstruct.reconstruction import load_reconstruction

@@ -9,10 +9,13 @@ from click.testing import CliRunner
 from lfnav_cli.common import run_command
 from lfnav_cli.main import main
 from lfnav_cli.reconstruct import command
+from pipelines.artifacts.arrays import FloatArray
 from pipelines.artifacts.errors import InputError, OptionError
 from pipelines.artifacts.provenance import sha256_of_file
 from pipelines.artifacts.stages import no_progress
-from pipelines.geometry.trajectory import read_tum
+from pipelines.dataset.dataset import load_dataset
+from pipelines.geometry.pose import world_from_base_planar
+from pipelines.geometry.trajectory import Trajectory, format_tum, read_tum
 from pipelines.reconstruct.reconstruction import load_reconstruction
 from pipelines.reconstruct.settings import ReconstructSettings
 from pipelines.reconstruct.stage import reconstruct
@@ -59,7 +62,7 @@ def test_an_image_without_a_pose_is_dropped_with_a_reason(tmp_path: Path) -> Non
     found = load_reconstruction(tmp_path / "r")
     assert len(found.image_names) == 27
     assert list(found.dropped) == ["rgb/0005.jpg"]
-    assert "no pose within 0.02 s" in found.dropped["rgb/0005.jpg"]
+    assert "lies in a gap of poses.txt of 1.000 s" in found.dropped["rgb/0005.jpg"]
     assert "rgb/0005.jpg" not in found.image_names
     truth = read_tum(ELEVATORS / "groundtruth.txt").poses[6, :3, 3]
     np.testing.assert_allclose(found.world_from_camera[5, :2, 3], truth[:2], atol=1e-12)
@@ -67,9 +70,53 @@ def test_an_image_without_a_pose_is_dropped_with_a_reason(tmp_path: Path) -> Non
 
 def test_poses_of_another_time_pair_with_nothing(tmp_path: Path) -> None:
     (tmp_path / "poses.txt").write_text("500.0 0 0 0 0 0 0 1\n", encoding="utf-8")
-    with pytest.raises(InputError, match=r"poses\.txt: none of its poses .*time 500\.000"):
+    with pytest.raises(
+        InputError, match=r"poses\.txt: none of its poses .*the poses' from 500\.000"
+    ):
         run(ELEVATORS, tmp_path / "r", ReconstructSettings("poses", poses=tmp_path / "poses.txt"))
     assert not (tmp_path / "r").exists()
+
+
+def test_given_poses_need_neither_odometry_nor_truth(tmp_path: Path) -> None:
+    part_of(ELEVATORS, tmp_path / "d", range(3), ["camera.toml"])
+    for name in ("odometry.txt", "groundtruth.txt"):
+        (tmp_path / "d" / name).write_text("nonsense\n", encoding="utf-8")
+    settings = ReconstructSettings("poses", poses=ELEVATORS / "groundtruth.txt")
+    run(tmp_path / "d", tmp_path / "r", settings)
+    assert len(load_reconstruction(tmp_path / "r").image_names) == 3
+
+
+def test_a_map_from_poses_at_30_hz_is_the_one_from_exact_poses(tmp_path: Path) -> None:
+    # A robot that drives curves at 1 m/s; its odometry ticks beside the images.
+    def along(times: FloatArray) -> FloatArray:
+        states = np.stack([np.sin(times), 0.5 * np.cos(1.5 * times), np.sin(0.7 * times)], axis=-1)
+        return world_from_base_planar(states)
+
+    images = load_dataset(ELEVATORS).timestamps
+    found = {}
+    for name, rate in (("poses_30_hz", 30.0), ("odometry_10_hz", 10.0), ("exact", 0.0)):
+        times = images if rate == 0.0 else np.arange(-0.0165, images[-1] + 0.2, 1.0 / rate)
+        path = tmp_path / f"{name}.txt"
+        path.write_text(format_tum(Trajectory(times, along(times))), encoding="utf-8")
+        run(ELEVATORS, tmp_path / name, ReconstructSettings("poses", poses=path))
+        found[name] = load_reconstruction(tmp_path / name).world_from_camera
+    for name, most in (("poses_30_hz", 0.0003), ("odometry_10_hz", 0.002)):
+        away = np.linalg.norm((found[name] - found["exact"])[:, :3, 3], axis=1)
+        assert away.max() < most
+
+
+def test_an_image_that_is_named_again_is_in_the_map_once(tmp_path: Path) -> None:
+    part_of(ELEVATORS, tmp_path / "d", range(3), ["camera.toml", "odometry.txt"])
+    names = ["0000", "0000", "0001", "0000"]
+    lines = [f"{0.5 * index} rgb/{name}.jpg\n" for index, name in enumerate(names)]
+    (tmp_path / "d" / "rgb.txt").write_text("".join(lines), encoding="utf-8")
+    run(tmp_path / "d", tmp_path / "r")
+    found = load_reconstruction(tmp_path / "r")
+    assert found.image_names == ("rgb/0000.jpg", "rgb/0001.jpg")
+    assert found.timestamps.tolist() == [0.0, 1.0]
+    assert found.dropped == {
+        f"rgb/0000.jpg at {time:.6f}": "is the image of 0.000000 once more" for time in (0.5, 1.5)
+    }
 
 
 def test_what_a_method_needs_is_named_where_it_is_missing(tmp_path: Path) -> None:

@@ -12,8 +12,9 @@ from lfnav_cli import common
 from lfnav_cli.main import main
 from pipelines.artifacts.arrays import BoolArray, ImageArray
 from pipelines.artifacts.stages import no_progress
-from pipelines.dataset.dataset import load_dataset, poses_at_images
+from pipelines.dataset.dataset import load_dataset
 from pipelines.dataset.images import decode_image
+from pipelines.dataset.pairing import poses_at_images
 from pipelines.geometry.plane import angle_between
 from pipelines.geometry.pose import world_from_base_planar
 from pipelines.lightfield.scene import Scene

@@ -25,6 +25,7 @@ from pipelines.dataset.importers.recording import (
 )
 from pipelines.dataset.importers.source_files import all_inside, check_missing, files_below
 from pipelines.geometry.camera import Camera
+from pipelines.geometry.time_units import UNIT_NAMES, in_seconds, unit_of_times
 
 FILE_NAMES = ("transforms.json", "transforms_train.json")
 MAX_FILE_BYTES = 256 * 1024**2
@@ -41,6 +42,8 @@ PERSPECTIVE_MODELS = (
     "RADIAL",
     "FULL_OPENCV",
 )
+# Names of a frame's time.
+TIME_KEYS = ("timestamp", "time", "timestamps")
 FISHEYE_MODEL = "OPENCV_FISHEYE"
 # Which have fewer coefficients.
 FISHEYE_MODELS = (
@@ -60,7 +63,9 @@ def find_transforms(source: Path) -> Path | None:
 
 
 def read_nerfstudio(source: Path, allow_missing: float | None = None) -> Recording:
-    """Reads the images that a ``transforms.json`` names, in natural order of their names.
+    """Reads the images that a ``transforms.json`` names.
+
+    They are in the order of their times where all have one, else in natural order of their names.
 
     Args:
         source: the file, or the folder that holds it.
@@ -83,12 +88,19 @@ def read_nerfstudio(source: Path, allow_missing: float | None = None) -> Recordi
     files = all_inside(texts, found, path)
     notes = list(check_missing(path.parent, files, allow_missing))
     there = [index for index, file in enumerate(files) if file.is_there]
-    relative = {index: files[index].name for index in there}
-    order = sorted(there, key=lambda index: natural_key(relative[index]))
-    double = first_duplicate(list(relative.values()))
+    # Of the images that are there alone.
+    entries = [entries[index] for index in there]
+    relative = [files[index].name for index in there]
+    times, notes_on_times = _times(entries)
+    notes += notes_on_times
+    order = sorted(
+        range(len(entries)),
+        key=lambda index: natural_key(relative[index]) if times is None else times[index],
+    )
+    double = first_duplicate(relative)
     if double is not None:
         raise InputError(path, f"names {double} twice")
-    stripped = _common_folder(list(relative.values()))
+    stripped = _common_folder(relative)
     cameras: dict[Camera, int] = {}
     frames, poses = [], []
     for number, index in enumerate(order):
@@ -98,16 +110,34 @@ def read_nerfstudio(source: Path, allow_missing: float | None = None) -> Recordi
             SourceFrame(
                 file,
                 name_below(IMAGE_FOLDER, relative[index][stripped:], path),
-                float(number),
+                float(number) if times is None else times[index],
                 camera=cameras.setdefault(camera, len(cameras)),
             )
         )
         matrix = entry.get("transform_matrix", list)
-        pose = rigid_pose(path, matrix, f"frames[{index}].transform_matrix")
+        pose = rigid_pose(path, matrix, f"{entry.prefix}transform_matrix")
         poses.append(pose @ OPENGL_FROM_OPENCV)
     if any("depth_file_path" in entry.values for entry in entries):
         notes.append("depth_file_path: depth of this source is not imported")
     return Recording(tuple(frames), tuple(cameras), np.stack(poses), notes=tuple(notes))
+
+
+def _times(entries: list[JsonFields]) -> tuple[list[float] | None, list[str]]:
+    """Seconds of the frames, or None, and notes on times that are not taken."""
+    for key in TIME_KEYS:
+        with_time = [entry for entry in entries if entry.values.get(key) is not None]
+        if not with_time:
+            continue
+        if len(with_time) < len(entries):
+            missing = len(entries) - len(with_time)
+            return None, [f"{key} is missing for {missing} frames: times are not taken"]
+        recorded = np.array([entry.number(key) for entry in entries])
+        if len(np.unique(recorded)) < len(entries):
+            return None, [f"frames have the same {key}: times are not taken"]
+        unit = unit_of_times(np.sort(recorded))
+        said = "" if unit == 1.0 else f", which are {UNIT_NAMES[unit]}"
+        return in_seconds(recorded, unit).tolist(), [f"times from {key}{said}"]
+    return None, []
 
 
 def _common_folder(names: list[str]) -> int:

@@ -8,7 +8,11 @@ from pathlib import Path
 from pipelines.artifacts.errors import InputError
 from pipelines.dataset.dataset import IMAGE_LIST, images_in, natural_key
 from pipelines.dataset.importers.camera_grid import grid_files
+from pipelines.dataset.importers.euroc import CAMERA, find_recording
+from pipelines.dataset.importers.llff import POSES
 from pipelines.dataset.importers.nerfstudio import find_transforms
+from pipelines.dataset.importers.polycam import find_keyframes
+from pipelines.dataset.importers.record3d import METADATA, is_record3d
 from pipelines.dataset.importers.settings import KINDS
 from pipelines.dataset.importers.seven_scenes import FRAME_NAME
 from pipelines.dataset.left_out import VIDEO_SUFFIXES
@@ -93,6 +97,24 @@ def _seven_scenes_sign(source: Path) -> str | None:
     return next((name for name in names if FRAME_NAME.fullmatch(name)), None)
 
 
+def _euroc_sign(source: Path) -> str | None:
+    folder = find_recording(source)
+    return None if folder is None else f"{(folder / CAMERA).relative_to(source).as_posix()}/"
+
+
+def _record3d_sign(source: Path) -> str | None:
+    return METADATA if is_record3d(source) else None
+
+
+def _polycam_sign(source: Path) -> str | None:
+    found = find_keyframes(source)
+    return None if found is None else f"{found[1].relative_to(source).as_posix()}/"
+
+
+def _llff_sign(source: Path) -> str | None:
+    return POSES if (source / POSES).is_file() else None
+
+
 def _grid_sign(source: Path) -> str | None:
     if not source.is_dir():
         return None
@@ -114,6 +136,10 @@ _SIGNS: dict[str, Callable[[Path], str | None]] = {
     "colmap": _colmap_sign,
     "kitti": _kitti_sign,
     "7scenes": _seven_scenes_sign,
+    "euroc": _euroc_sign,
+    "record3d": _record3d_sign,
+    "polycam": _polycam_sign,
+    "llff": _llff_sign,
     "grid": _grid_sign,
     "video": _video_sign,
 }

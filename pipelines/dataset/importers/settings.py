@@ -7,9 +7,14 @@ from typing import Any
 
 from pipelines.artifacts.errors import OptionError, quoted
 
-KINDS = ("grid", "colmap", "nerfstudio", "kitti", "7scenes", "video")
+KINDS = (
+    *("grid", "colmap", "nerfstudio", "kitti", "7scenes"),
+    *("euroc", "record3d", "polycam", "llff", "video"),
+)
 # Sources whose poses are exact enough to be a reconstruction as they are.
-POSED_KINDS = ("grid", "colmap", "nerfstudio")
+POSED_KINDS = ("grid", "colmap", "nerfstudio", "record3d", "polycam", "llff")
+# Sources whose unit is none: that of structure from motion.
+UNSCALED_KINDS = ("colmap", "nerfstudio", "llff")
 IMAGE_FORMATS = ("jpeg", "png")
 KITTI_CAMERAS = ("image_0", "image_1", "image_2", "image_3")
 
@@ -22,16 +27,16 @@ _MEANT_FOR: dict[str, tuple[str, ...]] = {
     "focal": ("grid", "7scenes", "video"),
     "fov": ("grid", "video"),
     "images": ("colmap",),
-    "scale": ("colmap", "nerfstudio"),
-    "upright": ("colmap", "nerfstudio", "7scenes"),
+    "scale": UNSCALED_KINDS,
+    "upright": ("colmap", "nerfstudio", "7scenes", "record3d", "polycam", "llff"),
     "sequence": ("kitti",),
     "camera": ("kitti",),
     "camera_height": ("kitti",),
-    "every": ("kitti", "7scenes", "video"),
+    "every": ("kitti", "7scenes", "euroc", "record3d", "video"),
     "fps": ("video",),
     "max_frames": ("video",),
     "image_format": ("video",),
-    "link": ("grid", "colmap", "nerfstudio", "kitti", "7scenes"),
+    "link": tuple(kind for kind in KINDS if kind != "video"),
 }
 
 

@@ -6,7 +6,8 @@ import numpy as np
 
 from pipelines.artifacts.arrays import FloatArray, ImageArray
 from pipelines.artifacts.errors import InputError
-from pipelines.dataset.dataset import CAMERA_FILE, GROUNDTRUTH_FILE, Dataset, poses_at_images
+from pipelines.dataset.dataset import CAMERA_FILE, GROUNDTRUTH_FILE, Dataset
+from pipelines.dataset.pairing import poses_at_images
 from pipelines.dock.robot import Movement
 from pipelines.dock.robots.noise import SimulatedMotion
 from pipelines.geometry.pose import planar_state_of, wrap_angle
@@ -32,16 +33,12 @@ class ReplayRobot:
     def __init__(self, dataset: Dataset, motion: SimulatedMotion) -> None:
         if dataset.camera is None or dataset.base_from_camera is None:
             raise InputError(dataset.root / CAMERA_FILE, "is missing or has no [mount]")
-        if dataset.groundtruth is None:
-            raise InputError(
-                dataset.root / GROUNDTRUTH_FILE,
-                "is missing: a replay needs to know where its images were taken",
-            )
+        truth = dataset.true_poses("is missing: a replay needs to know where its images were taken")
         self.camera = dataset.camera
         self.base_from_camera = dataset.base_from_camera
         source = dataset.root / GROUNDTRUTH_FILE
         self._dataset = dataset
-        self._states = planar_state_of(poses_at_images(dataset, dataset.groundtruth, source))
+        self._states = planar_state_of(poses_at_images(dataset, truth, source))
         self._motion = motion
 
     def take_image(self) -> ImageArray:
