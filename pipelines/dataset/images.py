@@ -140,18 +140,16 @@ def decode_image(data: bytes, name: Path | str) -> ImageArray:
         # Pillow would clip at 255 where the other decoders scale.
         grey = _in_8_bits(np.asarray(image).astype(np.int64).clip(0, 0xFFFF))
         return np.repeat(grey[:, :, None], 3, axis=2)
+    if image.mode == "F":
+        raise InputError(name, "holds fractions instead of 8 or 16 bits", "save it as a PNG")
+    colours = _colour_16_bit(data, image.size) if bits == 16 else None
+    if colours is not None:
+        return _in_8_bits(colours)
     try:
-        if image.mode == "F":
-            raise InputError(name, "holds fractions instead of 8 or 16 bits", "save it as a PNG")
-        colours = _colour_16_bit(data, image.size) if bits == 16 else None
-        if colours is not None:
-            return _in_8_bits(colours)
         if image.mode == "P":
             image = image.convert("RGBA")
         # Pillow would convert what is RGB already into a copy.
         return np.array(image if image.mode == "RGB" else image.convert("RGB"), dtype=np.uint8)
-    except InputError:
-        raise
     except Exception as error:  # a pixel beyond the palette, for one: whatever Pillow raises
         reason = f"is a damaged or truncated image ({reason_of(error)})"
         raise InputError(name, reason) from error

@@ -88,17 +88,19 @@ def read_nerfstudio(source: Path, allow_missing: float | None = None) -> Recordi
     files = all_inside(texts, found, path)
     notes = list(check_missing(path.parent, files, allow_missing))
     there = [index for index, file in enumerate(files) if file.is_there]
-    relative = {index: files[index].name for index in there}
-    times, time_notes = _times([entries[index] for index in there])
-    time_of = None if times is None else dict(zip(there, times, strict=True))
+    # Of the images that are there alone.
+    entries = [entries[index] for index in there]
+    relative = [files[index].name for index in there]
+    times, notes_on_times = _times(entries)
+    notes += notes_on_times
     order = sorted(
-        there,
-        key=lambda index: natural_key(relative[index]) if time_of is None else time_of[index],
+        range(len(entries)),
+        key=lambda index: natural_key(relative[index]) if times is None else times[index],
     )
-    double = first_duplicate(list(relative.values()))
+    double = first_duplicate(relative)
     if double is not None:
         raise InputError(path, f"names {double} twice")
-    stripped = _common_folder(list(relative.values()))
+    stripped = _common_folder(relative)
     cameras: dict[Camera, int] = {}
     frames, poses = [], []
     for number, index in enumerate(order):
@@ -108,14 +110,13 @@ def read_nerfstudio(source: Path, allow_missing: float | None = None) -> Recordi
             SourceFrame(
                 file,
                 name_below(IMAGE_FOLDER, relative[index][stripped:], path),
-                float(number) if time_of is None else time_of[index],
+                float(number) if times is None else times[index],
                 camera=cameras.setdefault(camera, len(cameras)),
             )
         )
         matrix = entry.get("transform_matrix", list)
-        pose = rigid_pose(path, matrix, f"frames[{index}].transform_matrix")
+        pose = rigid_pose(path, matrix, f"{entry.prefix}transform_matrix")
         poses.append(pose @ OPENGL_FROM_OPENCV)
-    notes += time_notes
     if any("depth_file_path" in entry.values for entry in entries):
         notes.append("depth_file_path: depth of this source is not imported")
     return Recording(tuple(frames), tuple(cameras), np.stack(poses), notes=tuple(notes))
