@@ -3,6 +3,10 @@
 Between two poses the position goes along a straight line and the rotation along the shortest arc on
 the sphere (Shoemake 1985), both evenly in time. How far off that is depends on how far apart the
 two are: a robot that turns by 1 rad/s at 1 m/s leaves the chord of 0.2 s by 5 mm.
+
+A robot may also stop, start or turn back between two poses, at once as seen at their rate. Where it
+moved straight and evenly on both sides, and the two lines meet in between, it follows them to where
+they meet: the chord would cut the corner, by centimetres at 1 m/s and 30 Hz.
 """
 
 from dataclasses import dataclass
@@ -10,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipelines.artifacts.arguments import checked_number
-from pipelines.artifacts.arrays import BoolArray, FloatArray, checked_array
+from pipelines.artifacts.arrays import BoolArray, FloatArray, IntArray, checked_array
 from pipelines.geometry.pose import pose_from_quaternion
 from pipelines.geometry.trajectory import Trajectory
 
@@ -21,6 +25,9 @@ MAX_GAP = 0.2
 PAIRING_TOLERANCE = 0.02
 # Seconds by which gaps may be longer, since times since 1970 are rounded to a quarter of it.
 _ROUNDING = 1e-6
+# Metres, four times what the chord of a corner is at least off; and the share of the change of
+# speed by which the motion on both sides may be uneven, or the lines miss each other.
+CUT_CORNER, EVEN = 0.004, 0.02
 # Half angles, radians, below which an arc is as straight as a chord.
 _STRAIGHT = 1e-9
 
@@ -77,10 +84,62 @@ def poses_at_times(
     between = is_known & (gaps > 0.0)
     exact = is_known & ~between
     poses[exact] = trajectory.poses[after[exact]]
-    first, second = before[between], after[between]
+    first = before[between]
     share = (timestamps[between] - times[first]) / gaps[between]
-    poses[between] = poses_between(trajectory.poses[first], trajectory.poses[second], share)
+    start, end, share = _around_corners(trajectory, first, share, max_gap + _ROUNDING)
+    poses[between] = poses_between(trajectory.poses[start], trajectory.poses[end], share)
     return PosesInTime(poses, is_known, offsets)
+
+
+def _around_corners(
+    trajectory: Trajectory, first: IntArray, share: FloatArray, max_gap: float
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """Which two poses to go by, and the shares of the ways between them.
+
+    Args:
+        trajectory: the poses.
+        first: ``(N,)`` the poses before the moments; the ones after them are the next.
+        share: ``(N,)`` where the moments are between the two.
+        max_gap: seconds between two poses that belong together.
+
+    Returns:
+        ``(N,)`` each: the two around a moment; at a corner the two before it or the two behind it,
+        with a share beyond 1 or below 0.
+    """
+    start, end, share = first.copy(), first + 1, share.copy()
+    if len(first) == 0:
+        return start, end, share
+    # Before the first pose and behind the last one the robot is taken to stand.
+    positions = np.pad(trajectory.poses[:, :3, 3], ((2, 2), (0, 0)), mode="edge")
+    steps = np.pad(np.diff(trajectory.timestamps), 2, mode="edge")
+    rows = np.flatnonzero(np.all(steps[first[:, None] + np.arange(5)] <= max_gap, axis=1))
+    at = first[rows] + 2
+    speeds = np.diff(positions, axis=0) / steps[:, None]
+    before, after = speeds[at - 1], speeds[at + 1]
+    change = after - before
+    size = np.linalg.norm(change, axis=1)
+    uneven = np.linalg.norm(before - speeds[at - 2], axis=1)
+    uneven += np.linalg.norm(speeds[at + 2] - after, axis=1)
+    # Where the two lines meet: before * t = chord - after * (step - t).
+    missing = positions[at + 1] - positions[at] - after * steps[at, None]
+    meets = -np.sum(missing * change, axis=1) / np.maximum(size, 1e-9) ** 2
+    apart = np.linalg.norm(missing + change * meets[:, None], axis=1)
+    is_corner = (
+        (size * steps[at] > CUT_CORNER)
+        & (uneven <= EVEN * size)
+        & (apart <= EVEN * size * steps[at])
+        & (meets >= 0.0)
+        & (meets <= steps[at])
+    )
+    moment = share[rows] * steps[at]
+    earlier, later = is_corner & (moment <= meets), is_corner & (moment > meets)
+    last = len(trajectory) - 1
+    own = first[rows]
+    start[rows[earlier]], end[rows[earlier]] = np.maximum(own[earlier] - 1, 0), own[earlier]
+    share[rows[earlier]] = 1.0 + moment[earlier] / steps[at[earlier] - 1]
+    start[rows[later]], end[rows[later]] = own[later] + 1, np.minimum(own[later] + 2, last)
+    share[rows[later]] = (moment[later] - steps[at[later]]) / steps[at[later] + 1]
+    return start, end, share
 
 
 def poses_between(first: FloatArray, second: FloatArray, share: FloatArray) -> FloatArray:
@@ -89,7 +148,7 @@ def poses_between(first: FloatArray, second: FloatArray, share: FloatArray) -> F
     Args:
         first: ``(N, 4, 4)``.
         second: ``(N, 4, 4)``.
-        share: ``(N,)``, 0 at the first and 1 at the second.
+        share: ``(N,)``, 0 at the first and 1 at the second; beyond them they go on as they went.
     """
     weight = share[:, None]
     positions = first[:, :3, 3] * (1.0 - weight) + second[:, :3, 3] * weight

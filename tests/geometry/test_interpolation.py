@@ -69,6 +69,42 @@ def test_odometry_at_10_hz_is_within_two_millimetres_of_a_tight_circle() -> None
     np.testing.assert_allclose(found.poses[:, :3, :3], _drive(times)[:, :3, :3], atol=1e-9)
 
 
+@pytest.mark.parametrize("phase", [0.0, 0.3, 0.5, 0.9])
+def test_a_robot_that_turns_back_between_two_poses_is_followed_to_where_it_does(
+    phase: float,
+) -> None:
+    """Straight from place to place at 1 to 2 m/s, poses at 30 Hz that miss the places."""
+    rng = np.random.default_rng(1)
+    corners: FloatArray = np.arange(0.0, 5.1, 0.5)
+    places = rng.uniform(-0.5, 0.5, (len(corners), 3))
+    turns = np.cumsum(rng.uniform(-0.1, 0.1, len(corners)))
+
+    def along(times: FloatArray) -> FloatArray:
+        states = np.stack([np.interp(times, corners, axis) for axis in places.T], axis=-1)
+        states[:, 2] = np.interp(times, corners, turns)
+        return world_from_base_planar(states)
+
+    every: FloatArray = (np.arange(-3.0, 150.0) + phase) / 30.0
+    trajectory = Trajectory(every, along(every))
+    # At the first place it stands, and there are poses before it.
+    amid: FloatArray = rng.uniform(0.5, 4.5, 500)
+    for times in (corners[:-1], amid):
+        found = poses_at_times(trajectory, times).poses
+        away = np.linalg.norm((found - along(times))[:, :3, 3], axis=1)
+        assert away.max() < 0.0011
+
+
+def test_noise_and_curves_are_no_corners() -> None:
+    every: FloatArray = np.arange(0.0, 5.0, 1.0 / 30.0)
+    poses = _drive(every)
+    poses[:, :3, 3] += np.random.default_rng(2).normal(0.0, 0.0005, (len(every), 3))
+    times = every[3:-4] + 0.015
+    found = poses_at_times(Trajectory(every, poses), times).poses
+    for axis in range(3):
+        line = np.interp(times, every, poses[:, axis, 3])
+        np.testing.assert_allclose(found[:, axis, 3], line, atol=1e-9)
+
+
 def test_gaps_and_what_lies_outside_of_the_span_have_no_pose() -> None:
     trajectory = Trajectory(
         np.array([0.0, 0.1, 0.2, 1.0, 1.1]), _drive(np.array([0.0, 0.1, 0.2, 1.0, 1.1]))
