@@ -1,7 +1,11 @@
 """Runs a node until it is stopped."""
 
-from collections.abc import Callable, Sequence
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from pipelines.artifacts.arguments import checked_number
@@ -14,6 +18,9 @@ from pipelines.ros.node_settings import effective_settings
 
 if TYPE_CHECKING:
     from pipelines.ros.managed_node import ManagedNode, NodeRequest
+
+# Seconds after which a node looks whether it has been stopped.
+LONGEST_WAIT = 0.1
 
 
 def run_localizer(
@@ -100,23 +107,53 @@ def _run(
     ros_arguments: Sequence[str],
 ) -> None:
     rclpy: Any = require_rclpy()
-    from rclpy.executors import ExternalShutdownException
+    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+    from rclpy.signals import SignalHandlerOptions
 
-    rclpy.init(args=list(ros_arguments))
-    node = None
+    with _stop_signals() as stopped:
+        rclpy.init(args=list(ros_arguments), signal_handler_options=SignalHandlerOptions.NO)
+        node = None
+        try:
+            executor = SingleThreadedExecutor()
+            node = make(request)
+            if request.autostart:
+                _start(node)
+            executor.add_node(node)
+            while not stopped.is_set():
+                executor.spin_once(timeout_sec=LONGEST_WAIT)
+        except (KeyboardInterrupt, ExternalShutdownException):
+            # A second Ctrl-C, or the end of the context.
+            pass
+        finally:
+            if node is not None:
+                node.end()
+                node.destroy_node()
+            rclpy.try_shutdown()
+
+
+@contextmanager
+def _stop_signals() -> Iterator[threading.Event]:
+    """Ctrl-C and SIGTERM, how a node usually ends, only set an event; a second Ctrl-C interrupts.
+
+    An exception may come while rclpy converts an argument, which then fails with another one.
+    """
+    stopped = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        # Only there signals can be taken; who runs a node elsewhere stops it by its context.
+        yield stopped
+        return
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        if stopped.is_set() and number == signal.SIGINT:
+            signal.default_int_handler(number, frame)
+        stopped.set()
+
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        node = make(request)
-        if request.autostart:
-            _start(node)
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        # Ctrl-C, or a launch file's end: how a node usually ends.
-        pass
+        yield stopped
     finally:
-        if node is not None:
-            node.end()
-            node.destroy_node()
-        rclpy.try_shutdown()
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _start(node: "ManagedNode") -> None:
