@@ -1,7 +1,8 @@
 """Where was this taken? The pose of a photo by itself, without odometry or a photo before it.
 
-The camera is the body, with six degrees of freedom. One step of the localizer tells whether the
-map shows the photo, and where it was taken.
+The camera is the body, with six degrees of freedom. Features propose a pose, and the light field
+decides: one step of the localizer, begun around it, tells whether the map shows the photo from
+there. Where features propose none, or one that is not firm, it looks all over the map.
 """
 
 import math
@@ -17,13 +18,14 @@ from pipelines.artifacts.errors import OptionError
 from pipelines.artifacts.provenance import provenance, sha256_of_bytes
 from pipelines.artifacts.stages import no_progress
 from pipelines.dataset.single_photo import SinglePhoto
+from pipelines.geometry.camera import Camera
 from pipelines.geometry.pose import quaternion_of
 from pipelines.lightfield.open_world import OpenWorld
 from pipelines.lightfield.scene import Scene
 from pipelines.localize.landmarks import LandmarkSource
 from pipelines.localize.localizer import Localizer
 from pipelines.localize.pnp import MountedCamera, PnpLocalizer
-from pipelines.localize.run import Run
+from pipelines.localize.run import FrameRecord, Run
 from pipelines.localize.settings import LocalizerSettings
 from pipelines.localize.state_space import SPATIAL
 
@@ -34,6 +36,8 @@ ANSWERS = {
     "blind": "shows too little to tell",
     "stale": "shows too little to tell",
 }
+# Poses by features are good to a few centimetres and degrees.
+PROPOSAL_POSITION_SIGMA, PROPOSAL_ANGLE_SIGMA = 0.1, math.radians(3.0)
 # EXIF data are not further off than this share of the focal length.
 LARGEST_CORRECTION = 0.15
 # A place with less of the probability is not worth naming.
@@ -72,9 +76,20 @@ def locate_photo(
     checked_number(seed, "seed", 0, whole=True)
     if settings.degrees_of_freedom != 6 or settings.method != "filter":
         raise OptionError("a photo by itself is located by the filter with 6 degrees of freedom")
-    rng = np.random.default_rng(seed)
-    localizer = Localizer(scene, photo.camera, np.eye(4), settings, rng)
-    frame = localizer.step(photo.image, None, 0.0, photo.name)
+    frame = None
+    state = None
+    if isinstance(scene, Scene) and settings.start is None:
+        state = _features(scene, photo.camera, seed).locate(photo.image).state
+    if state is not None:
+        near = replace(
+            settings,
+            start=tuple(state.tolist()),
+            start_position_sigma=PROPOSAL_POSITION_SIGMA,
+            start_heading_sigma=PROPOSAL_ANGLE_SIGMA,
+        )
+        frame = _step(scene, photo, near, seed)
+    if frame is None or not _is_firm(frame):
+        frame = _step(scene, photo, settings, seed)
     inputs = {"scene": scene.identifier, "photo": sha256_of_bytes(photo.encoded)}
     return Run(
         scene_identifier=scene.identifier,
@@ -90,6 +105,33 @@ def locate_photo(
         groundtruth=None,
         provenance=provenance("localize", {**settings.to_dict(), "seed": seed}, inputs),
         areas=scene.area_map if isinstance(scene, OpenWorld) else None,
+    )
+
+
+def _step(
+    scene: Scene | OpenWorld, photo: SinglePhoto, settings: LocalizerSettings, seed: int
+) -> FrameRecord:
+    """What the localizer makes of the photo."""
+    rng = np.random.default_rng(seed)
+    localizer = Localizer(scene, photo.camera, np.eye(4), settings, rng)
+    return localizer.step(photo.image, None, 0.0, photo.name)
+
+
+def _is_firm(frame: FrameRecord) -> bool:
+    """Whether the photo was aligned where the particles are, and not only weighted there."""
+    return frame.status == "tracking" and "refined" in frame.estimates
+
+
+def _features(scene: Scene, camera: Camera, seed: int) -> PnpLocalizer:
+    """Finds a pose by features alone."""
+    return PnpLocalizer(
+        scene,
+        LandmarkSource(scene, None),
+        MountedCamera(camera, np.eye(4)),
+        SPATIAL,
+        seed=seed,
+        threads=None,
+        progress=no_progress,
     )
 
 
@@ -109,21 +151,19 @@ def with_focal_length(scene: Scene | OpenWorld, photo: SinglePhoto, seed: int) -
     """
     if isinstance(scene, OpenWorld):
         return replace(photo, camera_source=f"{photo.camera_source}, {ROUGH}")
-    pnp = PnpLocalizer(
-        scene,
-        LandmarkSource(scene, None),
-        MountedCamera(photo.camera, np.eye(4)),
-        SPATIAL,
-        seed=seed,
-        threads=None,
-        progress=no_progress,
-    )
+    pnp = _features(scene, photo.camera, seed)
     focal, stated = pnp.focal_length(photo.image), photo.camera.intrinsics.fx
     if focal is None or abs(focal / stated - 1.0) > LARGEST_CORRECTION:
         return replace(photo, camera_source=f"{photo.camera_source}, {ROUGH}")
     camera = replace(photo.camera, params=(focal, *photo.camera.params[1:]))
     source = f"{photo.camera_source}; focal length by features {focal / stated - 1.0:+.1%}"
     return replace(photo, camera=camera, camera_source=source, is_rough=False)
+
+
+def answer_of(frame: FrameRecord) -> str:
+    """What the localizer made of a photo, in words."""
+    is_weak = frame.status == "tracking" and not _is_firm(frame)
+    return ANSWERS["global" if is_weak else frame.status]
 
 
 @dataclass(frozen=True)
@@ -152,7 +192,7 @@ class PhotoSummary:
         """Rows for people."""
         run, frame = self.run, self.run.frames[0]
         rows: list[tuple[str, ...]] = [("photo", run.dataset_name)]
-        rows.append(("answer", ANSWERS[frame.status]))
+        rows.append(("answer", answer_of(frame)))
         pose = self.world_from_camera
         if pose is not None:
             x, y, z = pose[:3, 3]
@@ -183,7 +223,7 @@ class PhotoSummary:
             covariance = frame.covariance
         return {
             "photo": run.dataset_name,
-            "answer": ANSWERS[frame.status],
+            "answer": answer_of(frame),
             "status": frame.status,
             "world_from_camera": None if pose is None else pose.tolist(),
             "position_m": None if pose is None else pose[:3, 3].tolist(),

@@ -15,7 +15,7 @@ from pipelines.lightfield.scene import Scene
 from pipelines.localize.run import Run, save_run
 from pipelines.localize.scene_of_run import relative_scene_path
 from pipelines.localize.settings import LocalizerSettings
-from pipelines.localize.single_photo import ANSWERS, PhotoSummary, locate_photo, with_focal_length
+from pipelines.localize.single_photo import PhotoSummary, answer_of, locate_photo, with_focal_length
 from pipelines.report.figures import png_of
 from pipelines.report.style import figure_style
 from pipelines.report.views import FrameViews, ViewMaker, renderer_at
@@ -96,7 +96,7 @@ def side_by_side(scene: Scene | OpenWorld, run: Run) -> bytes:
         state = run.estimated_states()[0]
     views = ViewMaker(run, renderer_at(scene)).views(0, state, None)
     with figure_style():
-        return png_of(_drawn(views, ANSWERS[run.frames[0].status]))
+        return png_of(_drawn(views, answer_of(run.frames[0])))
 
 
 def _drawn(views: FrameViews, answer: str) -> Figure:
