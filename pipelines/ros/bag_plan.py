@@ -9,8 +9,9 @@ import numpy as np
 from pipelines.artifacts.arrays import FloatArray, IntArray
 from pipelines.artifacts.errors import InputError, OptionError, StageError, quoted
 from pipelines.artifacts.stages import Progress
-from pipelines.dataset.importers.settings import DEFAULT_MAX_GAP, ImportSettings
+from pipelines.dataset.importers.settings import ImportSettings
 from pipelines.geometry.camera import Camera
+from pipelines.geometry.interpolation import MAX_GAP
 from pipelines.geometry.pose import base_from_camera_mount
 from pipelines.geometry.trajectory import Trajectory
 from pipelines.ros.bag_file import Bag
@@ -91,7 +92,7 @@ def plan_import(bag: Bag, settings: ImportSettings, progress: Progress) -> BagPl
     truth_topic = find_ground_truth(bag, settings.groundtruth)
     topics = (chosen.topic, chosen.info_topic, odometry_topic, truth_topic)
     survey = survey_bag(bag, [topic for topic in topics if topic is not None], progress)
-    tree, max_gap = survey.tree, settings.max_gap or DEFAULT_MAX_GAP
+    tree, max_gap = survey.tree, settings.max_gap or MAX_GAP
     camera = _camera(bag, chosen, survey, settings)
     odometry = _pose_source(survey, odometry_topic, settings.odometry, max_gap)
     truth = _pose_source(survey, truth_topic, settings.groundtruth, max_gap)
@@ -269,7 +270,7 @@ def _with_odometry(
     notes: list[str],
 ) -> tuple[IntArray, Trajectory]:
     """The images whose pose odometry knows, and these poses."""
-    max_gap = settings.max_gap or DEFAULT_MAX_GAP
+    max_gap = settings.max_gap or MAX_GAP
     poses, known = track.at(stamps[arrivals], max_gap)
     if not np.any(known):
         first, last = _seconds(stamps[arrivals[[0, -1]]])

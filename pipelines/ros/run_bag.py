@@ -19,8 +19,9 @@ from pipelines.artifacts.errors import StageError, reason_of
 from pipelines.geometry.camera import Camera
 from pipelines.geometry.pose import inverse, quaternion_of
 from pipelines.localize.run import FrameRecord, Run, load_run
-from pipelines.localize.state_space import known_states
+from pipelines.localize.state_space import known_states, state_space_of_dimension
 from pipelines.localize.trajectory_export import nanoseconds
+from pipelines.ros.pose_publishing import full_covariance
 from pipelines.ros.pose_track import NANOSECONDS
 
 MAP, ODOM, BASE, CAMERA = "map", "odom", "base_link", "camera_optical_frame"
@@ -29,8 +30,6 @@ TF_TOPIC, STATIC_TOPIC, TRUTH_TOPIC = "/tf", "/tf_static", "/ground_truth"
 IMAGE_TOPIC, INFO_TOPIC = "/camera/image_raw/compressed", "/camera/camera_info"
 # What comes to a late subscriber as well, when the bag is played.
 _LATCHED = (POSE_TOPIC, STATIC_TOPIC)
-# Where the numbers of a state stand among x, y, z and rotations about x, y, z.
-_AXES = {3: (0, 1, 5), 6: (0, 1, 2, 3, 4, 5)}
 _MAGIC = {b"\xff\xd8\xff": "jpeg", b"\x89PN": "png"}
 # builtin_interfaces/Time counts seconds in 32 bits.
 _LATEST = 2**31
@@ -213,9 +212,7 @@ class _RunMessages:
         return found
 
     def _with_covariance(self, pose: FloatArray, covariance: FloatArray) -> Any:
-        axes = _AXES[len(covariance)]
-        full = np.zeros((6, 6))
-        full[np.ix_(axes, axes)] = covariance
+        full = full_covariance(covariance, state_space_of_dimension(len(covariance)))
         return self._make(
             "geometry_msgs/msg/PoseWithCovariance", pose=self._pose(pose), covariance=full.ravel()
         )

@@ -17,8 +17,6 @@ POSED_KINDS = ("grid", "colmap", "nerfstudio", "record3d", "polycam", "llff")
 UNSCALED_KINDS = ("colmap", "nerfstudio", "llff")
 IMAGE_FORMATS = ("jpeg", "png")
 KITTI_CAMERAS = ("image_0", "image_1", "image_2", "image_3")
-# Seconds: what odometry at 10 Hz with a message lost has between two poses.
-DEFAULT_MAX_GAP = 0.2
 _OF_BAGS = (
     "odometry",
     "groundtruth",
@@ -100,7 +98,7 @@ class ImportSettings:
         mount: bag: the camera on that frame, where tf does not say: x, y, z in metres, roll, pitch,
             yaw in degrees.
         max_gap: bag: seconds between two poses at most for one to be interpolated between them;
-            None: ``DEFAULT_MAX_GAP``.
+            None: ``MAX_GAP`` of ``geometry.interpolation``.
         distance: bag: metres from one image to the next.
         angle: bag: degrees from one image to the next; of both one is enough.
         start, end: bag: seconds after the camera's first image.
